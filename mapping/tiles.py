@@ -1,0 +1,92 @@
+"""Sparse maps: a dictionary of tiles, their sum, and the digest by which peers compare them.
+
+Laws kept here: a tile's array is never written after it was handed out (copy on write), so a state can be kept by
+keeping its dictionary; the sum is plain int32 addition, hence the same in any order.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import struct
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mapping.lattice import TILE, Cells, TileKey
+
+Tiles = Mapping[TileKey, Cells]
+"""A sparse map. A tile that is absent is all zero: nothing is known there."""
+
+_KEY = struct.Struct("<ii")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Evidence:
+    """What a batch of scans adds to a map: one array for all tiles that it touches.
+
+    Attributes:
+        keys: int32, shape (T, 2): ty, tx; no tile twice, in ascending order.
+        cells: int32, shape (T, 32, 32).
+    """
+
+    keys: NDArray[np.int32]
+    cells: NDArray[np.int32]
+
+    def __iter__(self) -> Iterator[tuple[TileKey, Cells]]:
+        for (ty, tx), cells in zip(self.keys.tolist(), self.cells, strict=True):
+            yield TileKey(ty, tx), cells
+
+    @classmethod
+    def nothing(cls) -> Evidence:
+        """What an empty batch adds."""
+        return cls(np.zeros((0, 2), np.int32), np.zeros((0, TILE, TILE), np.int32))
+
+
+def frozen(cells: Cells) -> Cells:
+    """The array, made read-only: it may be shared from now on."""
+    cells.setflags(write=False)
+    return cells
+
+
+def added(tiles: Tiles, evidence: Evidence, limit: int = 0) -> dict[TileKey, Cells]:
+    """The tiles that change when evidence is added to a map, with their new contents; ``tiles`` is left alone.
+
+    Args:
+        tiles: the map before.
+        evidence: of one scan if there is a limit, else of any number.
+        limit: 0, or the bound that every cell is held within afterwards (``EvidenceModel.limit``).
+    """
+    changed: dict[TileKey, Cells] = {}
+    for key, delta in evidence:
+        before = tiles.get(key)
+        after = delta.copy() if before is None else before + delta
+        if limit:
+            np.clip(after, -limit, limit, out=after)
+        if (before is None and after.any()) or (before is not None and not np.array_equal(before, after)):
+            changed[key] = frozen(after)
+    return changed
+
+
+def summed(maps: list[Tiles]) -> dict[TileKey, Cells]:
+    """The sum of maps, tile by tile: made anew, for checks and small maps (``swarm.fusion`` keeps one up to date)."""
+    total: dict[TileKey, Cells] = {}
+    for tiles in maps:
+        for key, cells in tiles.items():
+            total[key] = total[key] + cells if key in total else cells.copy()
+    return total
+
+
+def map_digest(tiles: Tiles) -> bytes:
+    """BLAKE2b-128 over the tiles that have a non-zero cell, in order of (ty, tx).
+
+    Each contributes ty and tx as little-endian int32, then its 1024 cells as little-endian int32, row-major.
+    """
+    state = hashlib.blake2b(digest_size=16)
+    for key in sorted(tiles):
+        cells = tiles[key]
+        if cells.any():
+            state.update(_KEY.pack(*key))
+            state.update(np.ascontiguousarray(cells, dtype="<i4").tobytes())
+    return state.digest()
