@@ -80,4 +80,5 @@ class Grid:
     def centres(self, mask: NDArray[np.bool_]) -> NDArray[np.float64]:
         """Centres in metres, shape (K, 2), of the cells where ``mask``, shaped like ``evidence``, is set."""
         rows, columns = np.nonzero(mask)
-        return (np.column_stack([columns + self.i0, rows + self.j0]) + 0.5) * self.lattice.cell
+        cells = np.column_stack([columns + self.i0, rows + self.j0]).astype(np.float64)
+        return (cells + 0.5) * self.lattice.cell

@@ -1,0 +1,1 @@
+"""What runs: the robot, the observer, the recordings, the command line."""

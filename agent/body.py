@@ -1,0 +1,39 @@
+"""Where a robot's scans come from: the contract of every body."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+from mapping.scan import Scans
+from mapping.sensor import Sensor
+
+BATCH = 64
+"""The most scans that one ``read`` returns, so that a robot running as fast as it can still hears its peers."""
+
+
+class Body(Protocol):
+    """A robot's senses: simulated, recorded, or real.
+
+    Attributes:
+        sensor: what its scans' ranges mean.
+    """
+
+    sensor: Sensor
+
+    def read(self, until: float) -> Scans:
+        """The next scans (at most ``BATCH``) sensed before ``until``, quantised, poses in the common frame.
+
+        Args:
+            until: seconds of the body's own time since it started; infinity reads as fast as possible.
+        """
+        ...
+
+    @property
+    def progress(self) -> tuple[int, int]:
+        """Scans read so far, and of how many in all (0: nobody knows)."""
+        ...
+
+    @property
+    def done(self) -> bool:
+        """Whether there is nothing more to come."""
+        ...
