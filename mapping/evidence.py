@@ -16,7 +16,7 @@ UNITS_PER_NAT = 100
 OCCUPIED_PROBABILITY = 0.65
 """A cell is called occupied when its probability exceeds this (nav2's and map_server's customary threshold)."""
 
-_LIMIT = 1_000_000
+_LIMIT = 10_000
 
 
 def to_units(nats: float) -> int:

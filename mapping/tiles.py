@@ -38,11 +38,6 @@ class Evidence:
         for (ty, tx), cells in zip(self.keys.tolist(), self.cells, strict=True):
             yield TileKey(ty, tx), cells
 
-    @classmethod
-    def nothing(cls) -> Evidence:
-        """What an empty batch adds."""
-        return cls(np.zeros((0, 2), np.int32), np.zeros((0, TILE, TILE), np.int32))
-
 
 def frozen(cells: Cells) -> Cells:
     """The array, made read-only: it may be shared from now on."""
@@ -50,23 +45,38 @@ def frozen(cells: Cells) -> Cells:
     return cells
 
 
+def merged(parts: list[Evidence]) -> Evidence:
+    """The sum of several batches' evidence as one."""
+    if not parts:
+        return Evidence(np.zeros((0, 2), np.int32), np.zeros((0, TILE, TILE), np.int32))
+    if len(parts) == 1:
+        return parts[0]
+    keys = np.concatenate([part.keys for part in parts])
+    unique, slot = np.unique(keys, axis=0, return_inverse=True)
+    cells = np.zeros((len(unique), TILE, TILE), np.int32)
+    first = 0
+    for part in parts:
+        cells[slot[first : first + len(part.keys)]] += part.cells  # no tile twice within a part
+        first += len(part.keys)
+    return Evidence(unique, cells)
+
+
 def added(tiles: Tiles, evidence: Evidence, limit: int = 0) -> dict[TileKey, Cells]:
-    """The tiles that change when evidence is added to a map, with their new contents; ``tiles`` is left alone.
+    """The tiles that evidence touches, with their contents after it is added to a map; ``tiles`` is left alone.
 
     Args:
         tiles: the map before.
         evidence: of one scan if there is a limit, else of any number.
         limit: 0, or the bound that every cell is held within afterwards (``EvidenceModel.limit``).
     """
-    changed: dict[TileKey, Cells] = {}
+    touched: dict[TileKey, Cells] = {}
     for key, delta in evidence:
         before = tiles.get(key)
         after = delta.copy() if before is None else before + delta
         if limit:
             np.clip(after, -limit, limit, out=after)
-        if (before is None and after.any()) or (before is not None and not np.array_equal(before, after)):
-            changed[key] = frozen(after)
-    return changed
+        touched[key] = frozen(after)
+    return touched
 
 
 def summed(maps: list[Tiles]) -> dict[TileKey, Cells]:
