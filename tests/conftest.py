@@ -1,0 +1,29 @@
+"""What all tests share: where the real recordings are, and a loud word when there are none."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+_HOW = "set ORION_DATA to the folder that holds carmen/ and nano_swarm/"
+
+
+@pytest.fixture(scope="session")
+def recordings_dir() -> Path:
+    """The folder of real recordings, named by ORION_DATA; without that the test is skipped, and the summary says so."""
+    name = os.environ.get("ORION_DATA")
+    if not name:
+        pytest.skip(f"no real recordings: {_HOW}")
+    folder = Path(name)
+    if not folder.is_dir():
+        pytest.fail(f"ORION_DATA={name} is no folder: {_HOW}")
+    return folder
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """One line on the tests that did not run for want of recordings."""
+    skipped = [report for report in terminalreporter.getreports("skipped") if "recordings" in report.keywords]
+    if skipped:
+        terminalreporter.write_line(f"{len(skipped)} recordings tests were SKIPPED: {_HOW}", yellow=True, bold=True)
