@@ -1,0 +1,5 @@
+"""``python -m agent`` is ``orion``."""
+
+from agent.cli import main
+
+main()

@@ -1,0 +1,296 @@
+"""The swarm's configuration: one TOML for all robots, overlaid by ``ORION_*`` variables, overlaid by options.
+
+Laws kept here: everything is checked before anything starts; an unknown key names the nearest known one; the resolved
+configuration can be written out and used again, and then means the same wherever it is used from.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+import os
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import tomli_w
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from agent.errors import UserError
+from agent.files import read_bytes
+from mapping.evidence import EvidenceModel, to_units
+from mapping.lattice import Lattice
+from mapping.pose import Pose, QuantisedPose
+from mapping.sensor import ORION_RANGE, Sensor, laser, orion, sensor
+from swarm.session import ROBOT_ID, Rules
+from transport.bus import is_name
+
+Speed = Annotated[float, Field(gt=0, allow_inf_nan=False)] | Literal["max"]
+Publish = Literal["auto", "scans", "tiles"]
+
+_ENVIRONMENT = ("swarm", "cell", "transport", "base_port", "radio", "publish")
+"""What ``ORION_SWARM``, ``ORION_CELL`` ... may set."""
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class Start(_Table):
+    """A robot's start pose in the common frame; metres and degrees."""
+
+    x: float = Field(0.0, ge=-1e6, le=1e6)
+    y: float = Field(0.0, ge=-1e6, le=1e6)
+    yaw_deg: float = 0.0
+
+    def quantised(self) -> QuantisedPose:
+        """As descriptors carry it."""
+        return QuantisedPose.of(Pose(self.x, self.y, math.radians(self.yaw_deg)))
+
+
+class SimulatedBody(_Table):
+    """A body in a simulated world, which starts where the world says."""
+
+    kind: Literal["simulated"]
+    world: str = "paper"
+    index: int | None = Field(None, ge=0, description="which of the world's starts; by default the roster's index")
+    seed: int = Field(1, ge=0)
+    speed: Speed = 1.0
+
+
+class RecordedBody(_Table):
+    """A body that plays back a recording."""
+
+    kind: Literal["recording"]
+    path: str
+    robot: int = Field(0, ge=0, description="which of the recording's robots")
+    part: int = Field(1, ge=1, description="which piece of a log that is cut")
+    parts: int = Field(1, ge=1, description="into how many pieces of equal path")
+    poses: Literal["truth", "odometry", "slam"] | None = None
+    max_range: float | None = Field(None, gt=0)
+    speed: Speed = 1.0
+
+
+def _robot_id(name: str) -> str:
+    if not ROBOT_ID.fullmatch(name):
+        raise ValueError("a robot id is 1 to 32 letters, digits, - or _, and begins with a letter or digit")
+    return name
+
+
+def _swarm_name(name: str) -> str:
+    if not is_name(name):
+        raise ValueError("a swarm's name is 1 to 64 letters, digits, ., _ or -")
+    return name
+
+
+RobotId = Annotated[str, AfterValidator(_robot_id)]
+
+
+class Robot(_Table):
+    """One robot of the roster."""
+
+    host: str = Field("127.0.0.1", min_length=1)
+    start: Start | None = None
+    publish: Publish | None = None
+    body: Annotated[SimulatedBody | RecordedBody, Field(discriminator="kind")] = SimulatedBody(kind="simulated")
+
+
+class Evidence(_Table):
+    """What a reading is worth, in nats."""
+
+    occupied: float = Field(0.85, gt=0, le=100)
+    free: float = Field(-0.40, lt=0, ge=-100)
+    limit: float = Field(0.0, ge=0, le=100)
+
+
+class OrionSensor(_Table):
+    """The paper's five beams."""
+
+    kind: Literal["orion"] = "orion"
+    max_range: float = Field(ORION_RANGE, gt=0)
+
+    def build(self) -> Sensor:
+        """The sensor."""
+        return orion(self.max_range)
+
+
+class LaserSensor(_Table):
+    """Evenly spaced beams from the robot's centre."""
+
+    kind: Literal["laser"]
+    beams: int = Field(ge=1, le=4096)
+    first_deg: float
+    step_deg: float
+    max_range: float = Field(20.0, gt=0)
+
+    def build(self) -> Sensor:
+        """The sensor."""
+        return laser(
+            self.beams,
+            first=math.radians(self.first_deg),
+            step=math.radians(self.step_deg),
+            max_range=self.max_range,
+        )
+
+
+class BeamTable(_Table):
+    """Where one beam starts on the robot, metres, and where it looks, degrees from forward."""
+
+    x: float = 0.0
+    y: float = 0.0
+    bearing_deg: float
+
+
+class BeamsSensor(_Table):
+    """Any table of beams."""
+
+    kind: Literal["beams"]
+    beams: list[BeamTable] = Field(min_length=1, max_length=4096)
+    max_range: float = Field(gt=0)
+
+    def build(self) -> Sensor:
+        """The sensor."""
+        return sensor([(beam.x, beam.y, math.radians(beam.bearing_deg)) for beam in self.beams], self.max_range)
+
+
+class Config(_Table):
+    """The whole swarm."""
+
+    swarm: Annotated[str, AfterValidator(_swarm_name)] = "orion"
+    cell: float = Field(0.02, gt=0)
+    transport: Literal["zenoh"] = "zenoh"
+    base_port: int = Field(7450, ge=1, le=65535)
+    radio: Literal["lan"] = "lan"
+    publish: Publish = "auto"
+    evidence: Evidence = Evidence()
+    sensor: Annotated[OrionSensor | LaserSensor | BeamsSensor, Field(discriminator="kind")] = OrionSensor()
+    robots: dict[RobotId, Robot] = Field(default_factory=dict)
+
+    @model_validator(mode="after")
+    def _values_fit(self) -> Config:
+        self.rules().lattice.check_range(self.sensor.build().max_range_mm)
+        if self.base_port + len(self.robots) - 1 > 65535:
+            raise ValueError(f"base_port: {self.base_port} leaves no ports for {len(self.robots)} robots")
+        return self
+
+    def rules(self) -> Rules:
+        """The lattice and the evidence model."""
+        model = EvidenceModel(
+            to_units(self.evidence.occupied), to_units(self.evidence.free), to_units(self.evidence.limit)
+        )
+        return Rules(Lattice.of(self.cell), model)
+
+    @property
+    def roster(self) -> list[str]:
+        """Robot ids in the order that gives each its index and port."""
+        return list(self.robots)
+
+    @property
+    def hosts(self) -> list[str]:
+        """The robots' hosts in the same order."""
+        return [robot.host for robot in self.robots.values()]
+
+    def toml(self) -> bytes:
+        """The resolved configuration as a file."""
+        return tomli_w.dumps(self.model_dump(mode="json", exclude_none=True)).encode()
+
+
+def load(path: Path | None, options: Mapping[str, Any], environment: Mapping[str, str] = os.environ) -> Config:
+    """The configuration of a command.
+
+    Args:
+        path: the swarm's TOML, if one was given.
+        options: keys given on the command line; None is not given.
+        environment: where ``ORION_*`` are looked up.
+
+    Raises:
+        UserError: with the file, the key and the remedy.
+    """
+    table: dict[str, Any] = {}
+    if path is not None:
+        try:
+            table = tomllib.loads(read_bytes(path).decode())
+        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+            raise UserError(
+                path, f"is no TOML: {error}", "mend that line; each robot and key may appear once"
+            ) from None
+        _anchor(table, path.parent)
+    sources = dict.fromkeys(table, str(path))
+    for key in _ENVIRONMENT:
+        if (value := environment.get(f"ORION_{key.upper()}")) is not None:
+            table[key] = value
+            sources[key] = f"ORION_{key.upper()}"
+    for key, value in options.items():
+        if value is not None:
+            table[key] = value
+            sources[key] = f"--{key.replace('_', '-')}"
+    return resolve(table, lambda key: sources.get(key, str(path or "configuration")))
+
+
+def resolve(table: Mapping[str, Any], source: Any = lambda key: "configuration") -> Config:
+    """Check a configuration.
+
+    Args:
+        table: as TOML gives it.
+        source: tells of a top-level key where it was set.
+
+    Raises:
+        UserError: the first complaint, with the key and the remedy.
+    """
+    try:
+        return Config.model_validate(table)
+    except ValidationError as error:
+        raise _complaint(error, source) from None
+
+
+def _anchor(table: dict[str, Any], folder: Path) -> None:
+    """Paths in a file are relative to that file."""
+    robots = table.get("robots")
+    for robot in robots.values() if isinstance(robots, dict) else ():
+        body = robot.get("body") if isinstance(robot, dict) else None
+        if not isinstance(body, dict):
+            continue
+        for key in ("path", "world"):
+            value = body.get(key)
+            if isinstance(value, str) and (key == "path" or "/" in value or value.endswith((".yaml", ".yml"))):
+                body[key] = str((folder / value).absolute())
+
+
+def _complaint(error: ValidationError, source: Any) -> UserError:
+    first = error.errors()[0]
+    tags = {"simulated", "recording", "orion", "laser", "beams"}
+    path = [str(part) for part in first["loc"] if part not in tags and part != "[key]"]
+    key = ".".join(path)
+    where = f"{source(path[0])}: {key}" if path else str(source(""))
+    if first["type"] == "extra_forbidden":
+        known = sorted(_known_keys(first["loc"]))
+        near = difflib.get_close_matches(path[-1], known, 1)
+        remedy = f"did you mean {near[0]}?" if near else f"known here: {', '.join(known)}"
+        return UserError(where, "is no key of the configuration", remedy)
+    what = first["msg"].removeprefix("Value error, ")
+    what = what[:1].lower() + what[1:]
+    given = first.get("input")
+    if isinstance(given, str | int | float):
+        what += f", got {given!r}"
+    return UserError(where, what, "mend this value")
+
+
+def _known_keys(location: tuple[int | str, ...]) -> set[str]:
+    """The keys of the table in which an unknown one was found."""
+    tables: dict[str, type[BaseModel]] = {
+        "evidence": Evidence,
+        "start": Start,
+        "simulated": SimulatedBody,
+        "recording": RecordedBody,
+        "orion": OrionSensor,
+        "laser": LaserSensor,
+        "beams": BeamsSensor,
+    }
+    parents = [str(part) for part in location[:-1]]
+    if not parents:
+        return set(Config.model_fields)
+    if len(parents) == 2 and parents[0] == "robots":
+        return set(Robot.model_fields)
+    named = next((tables[part] for part in reversed(parents) if part in tables), BeamTable)
+    return set(named.model_fields)

@@ -1,0 +1,221 @@
+"""A swarm on one machine: every robot and the observer a process of its own, started, watched and ended together.
+
+Laws kept here: each process is the command that a user would type, with the resolved configuration as its file; the
+bodies move when all peers see each other; a run has converged only if every process has applied all that every robot
+published and reports the same digest; no process outlives this one.
+"""
+
+from __future__ import annotations
+
+import json
+import queue
+import subprocess
+import sys
+import threading
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+from agent.config import Config
+from agent.errors import UserError
+from agent.kernel import Compilation
+from agent.progress import Progress
+
+OBSERVER = "observer"
+_MEETING = 10.0
+"""Seconds within which all peers should see each other; then the bodies move all the same."""
+
+_STALLED = 60.0
+"""Seconds without any news, all bodies done, after which a run counts as not converging."""
+
+_LEAVING = 20.0
+"""Seconds in which a process must end that was told to."""
+
+
+@dataclass
+class Member:
+    """One process of the fleet, and what it last said.
+
+    Attributes:
+        name: the robot's id, or ``observer``.
+        process: the running command.
+        status: its last status, see ``Node``.
+        report: its summary, once it has ended.
+        error: what it could not do, in its own words.
+    """
+
+    name: str
+    process: subprocess.Popen[str]
+    ready: bool = False
+    status: dict[str, Any] = field(default_factory=dict)
+    report: dict[str, Any] | None = None
+    error: tuple[str, str, str] | None = None
+
+    @property
+    def alive(self) -> bool:
+        """Whether the process runs."""
+        return self.process.poll() is None
+
+    def order(self, word: str) -> None:
+        """Tell the process something; one that is gone does not hear it."""
+        assert self.process.stdin is not None
+        try:
+            self.process.stdin.write(word + "\n")
+            self.process.stdin.flush()
+        except (BrokenPipeError, ValueError):
+            pass
+
+
+class Fleet:
+    """The processes of one run. Use it in a ``with`` statement: leaving ends whatever still runs."""
+
+    def __init__(self, config: Config, out: Path) -> None:
+        self._config = config
+        self._out = out
+        self._news: queue.SimpleQueue[tuple[Member, dict[str, Any] | None]] = queue.SimpleQueue()
+        self.members: dict[str, Member] = {}
+
+    def __enter__(self) -> Self:
+        file = str(self._out / "orion.toml")
+        for robot in self._config.roster:
+            self._start(robot, ["agent", "-c", file, "--robot", robot])
+        self._start(OBSERVER, ["observe", "-c", file, "--out", str(self._out)])
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        for member in self.members.values():
+            member.order("finish")
+        deadline = time.monotonic() + (_LEAVING if error is None else 2.0)
+        for member in self.members.values():
+            try:
+                member.process.wait(max(0.1, deadline - time.monotonic()))
+            except subprocess.TimeoutExpired:
+                member.process.kill()
+                member.process.wait()
+
+    def _start(self, name: str, arguments: list[str]) -> None:
+        process = subprocess.Popen(
+            [sys.executable, "-m", "agent", *arguments, "--supervised"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+            start_new_session=True,  # Ctrl-C is ours to pass on, as "finish"
+        )
+        member = self.members[name] = Member(name, process)
+        threading.Thread(target=self._listen, args=(member,), name=f"orion-{name}", daemon=True).start()
+
+    def _listen(self, member: Member) -> None:
+        assert member.process.stdout is not None
+        for line in member.process.stdout:
+            self._news.put((member, json.loads(line)))
+        self._news.put((member, None))
+
+    # --- the run
+
+    def run(self, progress: Progress) -> bool:
+        """Let the swarm map until all is done and known to all; gives whether that was reached.
+
+        Raises:
+            UserError: a process could not start, in its own words.
+        """
+        began = news_at = time.monotonic()
+        gone = kernel = False
+        with Compilation() as compilation:
+            while True:
+                if self._take_news(0.1):
+                    news_at = time.monotonic()
+                    progress.show(self.members)
+                self._check_failures()
+                if not kernel and compilation.ready:
+                    kernel = True
+                    self._order("kernel")
+                if not gone and (self._met() or time.monotonic() - began > _MEETING):
+                    gone = True
+                    self._order("go")
+                if self._settled():
+                    return True
+                if not any(member.alive for member in self._robots()) or not self.members[OBSERVER].alive:
+                    return False
+                if time.monotonic() - news_at > _STALLED and self._all_done():
+                    return False
+
+    def finish(self) -> None:
+        """Tell everybody to end and collect what they report."""
+        self._order("finish")
+        deadline = time.monotonic() + _LEAVING
+        while time.monotonic() < deadline and any(
+            member.report is None and (member.alive or not self._news.empty()) for member in self.members.values()
+        ):
+            self._take_news(0.1)
+        while self._take_news(0.0):
+            pass
+
+    def _order(self, word: str) -> None:
+        for member in self.members.values():
+            member.order(word)
+
+    def _take_news(self, timeout: float) -> bool:
+        """Take in one line that a process wrote, if there is one in time."""
+        try:
+            member, line = self._news.get(timeout=timeout)
+        except queue.Empty:
+            return False
+        match line:
+            case None:
+                member.process.wait()
+            case {"event": "ready"}:
+                member.ready = True
+            case {"event": "status", **status}:
+                member.status = status
+            case {"event": "report", **report}:
+                member.report = report
+            case {"event": "error", "where": where, "what": what, "remedy": remedy}:
+                member.error = (where, what, remedy)
+        return True
+
+    def _check_failures(self) -> None:
+        for member in self.members.values():
+            if member.error is not None:
+                raise UserError(*member.error)
+
+    # --- what is known of it
+
+    def _robots(self) -> list[Member]:
+        return [member for name, member in self.members.items() if name != OBSERVER]
+
+    def _living(self) -> list[Member]:
+        return [member for member in self.members.values() if member.alive]
+
+    def _met(self) -> bool:
+        """Whether every process sees every other."""
+        return all(member.status.get("around", 0) >= len(self.members) - 1 for member in self.members.values())
+
+    def _all_done(self) -> bool:
+        return all(member.status.get("done", False) for member in self._living())
+
+    def _settled(self) -> bool:
+        """Whether all living processes have everything that anybody is known to hold."""
+        living = self._living()
+        positions = [member.status.get("positions") for member in living]
+        return bool(living) and self._all_done() and all(each == positions[0] for each in positions)
+
+    def summary(self, *, settled: bool, seconds: float) -> dict[str, Any]:
+        """The run's result as ``--json`` prints it; a process that died is listed with what is known of it."""
+        observer = self.members[OBSERVER].report or {}
+        files = observer.pop("files", {})
+        robots = []
+        for member in self._robots():
+            lost = {"id": member.name, "session": None, "map_digest": None, "lost": True}
+            robots.append(member.report or lost)
+        digests = {each.get("map_digest") for each in [*robots, observer]}
+        return {
+            "converged": settled and len(digests) == 1 and None not in digests,
+            "seconds": round(seconds, 3),
+            "robots": robots,
+            "observer": observer,
+            "files": files,
+        }

@@ -1,0 +1,56 @@
+"""The bus that a configuration asks for, and whether its ports are free."""
+
+from __future__ import annotations
+
+import socket
+from typing import TYPE_CHECKING
+
+from agent.config import Config
+from agent.errors import UserError
+from agent.node import peer_name
+from transport.bus import BusError
+from transport.roster import roster_endpoints
+
+if TYPE_CHECKING:
+    from transport.zenoh_bus import ZenohBus
+
+
+def open_bus(config: Config, name: str, index: int | None) -> ZenohBus:
+    """Join the swarm.
+
+    Args:
+        config: the swarm.
+        name: the robot's id, or what an observer calls itself.
+        index: the robot's place in the roster; None for an observer.
+
+    Raises:
+        UserError: an endpoint cannot be used.
+    """
+    from transport.zenoh_bus import ZenohBus
+
+    endpoints = roster_endpoints(config.hosts, config.base_port, index)
+    try:
+        return ZenohBus(config.swarm, peer_name(name), listen=endpoints.listen, connect=endpoints.connect)
+    except BusError as error:
+        raise UserError(error.where, error.what, "choose another base_port, or mend the robots' hosts") from None
+
+
+def check_ports(config: Config) -> None:
+    """Make sure, before anything starts, that every robot of this machine can listen.
+
+    Raises:
+        UserError: a port is occupied, or a host is not ours.
+    """
+    for index, (robot, host) in enumerate(zip(config.roster, config.hosts, strict=True)):
+        port = config.base_port + index
+        try:
+            found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
+            family, kind, protocol, _, address = found[0]
+            with socket.socket(family, kind, protocol) as probe:
+                probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+                probe.bind(address)
+        except OSError as error:
+            reason = error.strerror or str(error)
+            raise UserError(
+                f"robots.{robot}: {host}:{port}", reason[:1].lower() + reason[1:], "give another --base-port"
+            ) from None
