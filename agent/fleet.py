@@ -99,7 +99,7 @@ class Fleet:
 
     def _start(self, name: str, arguments: list[str]) -> None:
         process = subprocess.Popen(
-            [sys.executable, "-m", "agent", *arguments, "--supervised"],
+            [sys.executable, "-P", "-m", "agent", *arguments, "--supervised"],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,

@@ -67,7 +67,7 @@ class Compilation:
         if importlib.util.find_spec("numba") is not None:
             quiet = subprocess.DEVNULL
             self._process = subprocess.Popen(
-                [sys.executable, "-m", "agent.kernel"], stdin=quiet, stdout=quiet, stderr=quiet, start_new_session=True
+                [sys.executable, "-P", "-m", "agent.kernel"], stdin=quiet, stdout=quiet, stderr=quiet, start_new_session=True
             )
         return self
 

@@ -52,5 +52,5 @@ def check_ports(config: Config) -> None:
         except OSError as error:
             reason = error.strerror or str(error)
             raise UserError(
-                f"robots.{robot}: {host}:{port}", reason[:1].lower() + reason[1:], "give another --base-port"
+                f"robots.{robot}: {host}:{port}", reason[:1].lower() + reason[1:], "give another --base-port, or a host of this machine"
             ) from None

@@ -71,7 +71,7 @@ class Grid:
     @property
     def known_m2(self) -> float:
         """The area in square metres of the cells with non-zero evidence."""
-        return int(np.count_nonzero(self.evidence)) * self.lattice.cell**2
+        return int(np.count_nonzero(self.evidence)) * self.lattice.cell_mm**2 / 1e6
 
     def digest(self) -> bytes:
         """The map digest, the same as that of the tiles this grid was made of."""

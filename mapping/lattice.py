@@ -51,6 +51,8 @@ class Lattice:
         Raises:
             ValueError: not a whole number of millimetres, or out of range.
         """
+        if not 0 < cell <= 10:  # NaN too
+            raise ValueError(f"cell: {cell} m, expected 0.001 to 10 m")
         cell_mm = round(cell * 1000)
         if abs(cell * 1000 - cell_mm) > 1e-6:
             raise ValueError(f"cell: {cell} m is not a whole number of millimetres")

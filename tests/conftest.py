@@ -6,6 +6,10 @@ import os
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
+
+settings.register_profile("orion", deadline=None)  # machines are shared: a slow example is no failure
+settings.load_profile("orion")
 
 _HOW = "set ORION_DATA to the folder that holds carmen/ and nano_swarm/"
 
