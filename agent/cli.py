@@ -15,6 +15,9 @@ import typer
 from agent.errors import UserError
 from agent.map_command import app as map_app
 
+_SWITCH_INTERVAL = 0.0005
+"""Seconds. With Python's 5 ms a loop that is busy mapping keeps what comes in waiting: p50 3.5 ms instead of 0.8."""
+
 app = typer.Typer(
     name="orion",
     no_args_is_help=True,
@@ -135,6 +138,7 @@ def _work(work: Any, *, as_json: bool, supervised: bool) -> None:
     from agent.control import Control, Supervised
     from agent.kernel import Compilation
 
+    sys.setswitchinterval(_SWITCH_INTERVAL)
     if supervised:
         control: Control = Supervised()
         try:
