@@ -32,6 +32,9 @@ def integrated(
         model: what readings are worth.
         lattice: the swarm's.
         kernel: ``mapping.raster.raster`` or ``mapping.raster_jit.raster``: the same integers from both.
+
+    Raises:
+        ValueError: the scans touch more tiles than one call may.
     """
     if not model.limit:
         return added(tiles, kernel(rays_of(scans, sensor, lattice), model))

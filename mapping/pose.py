@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 FULL_TURN = 65536
 """Integer angles count 1/65536 turn (``turn16``): one unit is 0.0055 degrees and wraps with a uint16."""
 
-_COORDINATE_LIMIT_M = 1_000_000.0
+COORDINATE_LIMIT = 1_000_000.0
+"""Metres from the origin that a pose may lie at most, on each axis: 1000 km, whose millimetres fit an int32."""
 
 
 def to_turn16(angle: float) -> int:
@@ -84,7 +85,7 @@ class QuantisedPose(NamedTuple):
         for name, value in (("x", pose.x), ("y", pose.y), ("yaw", pose.yaw)):
             if not math.isfinite(value):
                 raise ValueError(f"pose: {name} is {value}, expected a finite number")
-        if max(abs(pose.x), abs(pose.y)) > _COORDINATE_LIMIT_M:
+        if max(abs(pose.x), abs(pose.y)) > COORDINATE_LIMIT:
             raise ValueError(f"pose: ({pose.x}, {pose.y}) lies more than 1000 km from the origin")
         return cls(round(pose.x * 1000), round(pose.y * 1000), to_turn16(pose.yaw))
 

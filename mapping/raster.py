@@ -1,7 +1,7 @@
 """From rays to evidence, with NumPy alone: Bresenham's cells in closed form, counted, weighed.
 
-The k-th of a ray's n cells lies at start + round(k * d / n) on each axis, ties away from the start. So all cells of all
-rays are one array expression, and the evidence of a batch is two histograms (algorithms 1 and 2):
+The k-th cell of a ray of n steps lies at start + round(k * d / n) on each axis, ties away from the start. So all
+cells of all rays are one array expression, and the evidence of a batch is two histograms (algorithms 1 and 2):
 free * (visits that are no hits) + occupied * hits. ``raster_jit`` gives the same integers from compiled loops.
 """
 
@@ -24,7 +24,10 @@ With f = ceil(|d| * 2^26 / n), (k * f + 2^25) >> 26 is exactly the rounded k * |
 value plus a half is a multiple of 1 / (2 n), and the error k * 2^-26 is less than that.
 """
 
-_CHUNK_CELLS = 1 << 21
+MAX_TILES = 65_536
+"""The most tiles that one call may touch (256 MiB): few bytes can describe scans far apart."""
+
+_CHUNK_CELLS = 1 << 19
 _CHUNK_TILES = 1 << 20
 
 Raster = Callable[[Rays, EvidenceModel], Evidence]
@@ -39,12 +42,28 @@ def tile_box(rays: Rays) -> tuple[int, int, int, int]:
     return ty0, tx0, ty1 - ty0 + 1, tx1 - tx0 + 1
 
 
+def in_chunks(rays: Rays, model: EvidenceModel, raster_chunk: Raster) -> Evidence:
+    """The evidence of many rays, a chunk at a time, so that memory stays bounded wherever a robot was carried.
+
+    Raises:
+        ValueError: they touch more than ``MAX_TILES`` tiles.
+    """
+    parts = []
+    touched = 0
+    for chunk in split(rays):
+        parts.append(raster_chunk(chunk, model))
+        touched += len(parts[-1].keys)
+        if touched > MAX_TILES:
+            raise ValueError(f"rays: {len(rays)} of them touch more than {MAX_TILES} tiles")
+    return merged(parts)
+
+
 def split(rays: Rays, most_tiles: int = _CHUNK_TILES) -> list[Rays]:
-    """Chunks whose boxes of tiles stay small, in order: a robot that was carried far away costs no memory."""
+    """Chunks, in order, that visit few cells and lie close together."""
     if len(rays) < 2:
         return [rays] if len(rays) else []
     _, _, rows, columns = tile_box(rays)
-    if rows * columns <= most_tiles:
+    if rows * columns <= most_tiles and int(rays.steps.sum()) + len(rays) <= _CHUNK_CELLS:
         return [rays]
     half = len(rays) // 2
     return split(rays[:half], most_tiles) + split(rays[half:], most_tiles)
@@ -59,17 +78,12 @@ def slopes(rays: Rays) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np
 
 
 def raster(rays: Rays, model: EvidenceModel) -> Evidence:
-    """The evidence of the rays, summed over all of them: occupied at a hit, free before it, nothing behind it."""
-    parts = []
-    for near in split(rays):
-        ends = np.cumsum(near.steps + 1)
-        first = 0
-        while first < len(near):
-            cells_before = int(ends[first - 1]) if first else 0
-            last = max(first + 1, int(np.searchsorted(ends, cells_before + _CHUNK_CELLS, side="right")))
-            parts.append(_raster_chunk(near[first:last], model))
-            first = last
-    return merged(parts)
+    """The evidence of the rays, summed over all of them: occupied at a hit, free before it, nothing behind it.
+
+    Raises:
+        ValueError: they touch more than ``MAX_TILES`` tiles.
+    """
+    return in_chunks(rays, model, _raster_chunk)
 
 
 def _raster_chunk(rays: Rays, model: EvidenceModel) -> Evidence:

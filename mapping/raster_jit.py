@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from mapping.evidence import EvidenceModel
 from mapping.lattice import TILE
-from mapping.raster import SHIFT, slopes, split, tile_box
+from mapping.raster import SHIFT, in_chunks, slopes, tile_box
 from mapping.rays import Rays
-from mapping.tiles import Evidence, merged
+from mapping.tiles import Evidence
 
 _TILE_BITS = 5
 _HALF = 1 << (SHIFT - 1)
@@ -62,7 +62,7 @@ def _add(
 
 def raster(rays: Rays, model: EvidenceModel) -> Evidence:
     """The evidence of the rays; see ``mapping.raster.raster``."""
-    return merged([_raster_chunk(near, model) for near in split(rays)])
+    return in_chunks(rays, model, _raster_chunk)
 
 
 def _raster_chunk(rays: Rays, model: EvidenceModel) -> Evidence:

@@ -13,7 +13,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mapping.pose import FULL_TURN
+from mapping.pose import COORDINATE_LIMIT, FULL_TURN
 from mapping.sensor import Sensor
 
 INVALID = 0
@@ -38,11 +38,10 @@ class Scans:
     ranges: NDArray[np.uint16]
 
     def __post_init__(self) -> None:
-        count = len(self.stamps_ms)
-        if self.poses.shape != (count, 3) or self.ranges.ndim != 2 or len(self.ranges) != count:
+        stamps, poses, ranges = self.stamps_ms.shape, self.poses.shape, self.ranges.shape
+        if len(stamps) != 1 or poses != (*stamps, 3) or len(ranges) != 2 or ranges[:1] != stamps:
             raise ValueError(
-                f"scans: expected poses (N, 3) and ranges (N, B) for {count} stamps, "
-                f"got {self.poses.shape} and {self.ranges.shape}"
+                f"scans: expected stamps (N,), poses (N, 3) and ranges (N, B), got {stamps}, {poses} and {ranges}"
             )
 
     def __len__(self) -> int:
@@ -77,12 +76,12 @@ def quantise(stamps: ArrayLike, poses: ArrayLike, ranges: ArrayLike, sensor: Sen
     Args:
         stamps: shape (N,), seconds.
         poses: shape (N, 3), x, y, yaw of the robot in the common frame; metres and radians.
-        ranges: shape (N, B), metres along each beam; NaN is invalid, infinity is "nothing in range", and so is
-            whatever exceeds the sensor's range.
+        ranges: shape (N, B), metres along each beam; infinity is "nothing in range", and so is whatever rounds to
+            more than the sensor's range; NaN is invalid, and so is whatever rounds to less than a millimetre.
         sensor: gives the number of beams and the range.
 
     Raises:
-        ValueError: a shape is wrong, a pose is not finite or lies beyond 1000 km.
+        ValueError: a shape is wrong, a stamp or a pose is not finite, a pose lies beyond 1000 km.
     """
     stamps = np.asarray(stamps, dtype=np.float64)
     poses = np.asarray(poses, dtype=np.float64)
@@ -91,15 +90,18 @@ def quantise(stamps: ArrayLike, poses: ArrayLike, ranges: ArrayLike, sensor: Sen
         raise ValueError(f"ranges: expected (N, {len(sensor.beams)}), got {ranges.shape}")
     if poses.ndim != 2 or poses.shape[1] != 3:
         raise ValueError(f"poses: expected (N, 3), got {poses.shape}")
-    bad = ~(np.isfinite(poses).all(axis=1) & (np.abs(poses[:, :2]) <= 1_000_000.0).all(axis=1))
+    if not np.isfinite(stamps).all():
+        row = int(np.argmin(np.isfinite(stamps)))
+        raise ValueError(f"stamps: scan {row} is at {stamps.flat[row]}, expected a finite number")
+    bad = ~(np.isfinite(poses).all(axis=1) & (np.abs(poses[:, :2]) <= COORDINATE_LIMIT).all(axis=1))
     if bad.any():
         row = int(np.argmax(bad))
         raise ValueError(f"poses: scan {row} is at {poses[row].tolist()}, expected finite numbers within 1000 km")
     whole = np.empty((len(poses), 3), np.int32)
     whole[:, :2] = np.rint(poses[:, :2] * 1000)
-    whole[:, 2] = np.rint(poses[:, 2] / (2 * np.pi) * FULL_TURN).astype(np.int64) % FULL_TURN
-    millimetres = np.rint(ranges * 1000)
-    with np.errstate(invalid="ignore"):
+    whole[:, 2] = np.rint(poses[:, 2] / (2 * np.pi) * FULL_TURN) % FULL_TURN
+    with np.errstate(invalid="ignore", over="ignore"):
+        millimetres = np.rint(ranges * 1000)
         far = millimetres > sensor.max_range_mm
         valid = millimetres >= 1
     readings = np.where(far, NO_RETURN, np.where(valid, millimetres, INVALID)).astype(np.uint16)

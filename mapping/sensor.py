@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mapping.pose import to_turn16
+from mapping.pose import FULL_TURN, to_turn16
 
 MAX_RANGE_LIMIT_MM = 65_000
 """Ranges travel as uint16 millimetres; 65535 means "nothing in range"."""
@@ -45,7 +45,7 @@ class Sensor:
         max_range_mm: a reading beyond it is "nothing in range" and frees its ray up to here.
 
     Raises:
-        ValueError: no beams, too many, or a range that cannot be published.
+        ValueError: no beams, too many, or a number that cannot be published.
     """
 
     beams: tuple[Beam, ...]
@@ -61,6 +61,8 @@ class Sensor:
         for beam in self.beams:
             if max(abs(beam.x_mm), abs(beam.y_mm)) > 32767:
                 raise ValueError(f"sensor: a beam starts at ({beam.x_mm}, {beam.y_mm}) mm, expected within 32.767 m")
+            if not 0 <= beam.bearing_turn16 < FULL_TURN:
+                raise ValueError(f"sensor: a beam's bearing is {beam.bearing_turn16}, expected 0 to {FULL_TURN - 1}")
             if beam.half_width_turn16 != 0:
                 raise ValueError("sensor: beams with a width are not supported; set half_width to 0")
 

@@ -52,11 +52,12 @@ def merged(parts: list[Evidence]) -> Evidence:
     if len(parts) == 1:
         return parts[0]
     keys = np.concatenate([part.keys for part in parts])
-    unique, slot = np.unique(keys, axis=0, return_inverse=True)
+    unique, slots = np.unique(keys, axis=0, return_inverse=True)
+    slots = slots.reshape(-1)  # NumPy 2.0.0 gives a column
     cells = np.zeros((len(unique), TILE, TILE), np.int32)
     first = 0
     for part in parts:
-        cells[slot[first : first + len(part.keys)]] += part.cells  # no tile twice within a part
+        cells[slots[first : first + len(part.keys)]] += part.cells  # no tile twice within a part
         first += len(part.keys)
     return Evidence(unique, cells)
 

@@ -10,7 +10,7 @@ import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from fractions import Fraction
-from functools import lru_cache
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -50,7 +50,7 @@ class Law:
         return (x0 // side, y0 // side), (x1 // side, y1 // side)
 
     @staticmethod
-    @lru_cache(maxsize=None)
+    @cache
     def offsets(d: int, n: int) -> tuple[int, ...]:
         """k * d / n for k = 0 ... n, each rounded to the nearest integer, halves away from zero."""
         sign = -1 if d < 0 else 1
@@ -142,7 +142,7 @@ def recorded(recordings_dir: Path) -> Callable:
     from mapping.pose import QuantisedPose
     from mapping.scan import Scans
 
-    @lru_cache(maxsize=None)
+    @cache
     def scans_of(name: str, max_range: float | None = None) -> list:
         runs = []
         for recording in read(recordings_dir / name, max_range=max_range):
