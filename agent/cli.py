@@ -127,8 +127,8 @@ def observe(
     from agent.observer import run_observer
 
     def work(control: Any) -> dict[str, Any]:
-        folder = None if out is None else prepare_folder(out)
-        return run_observer(load(config, {}), folder, control)
+        swarm = load(config, {})
+        return run_observer(swarm, None if out is None else prepare_folder(out), control)
 
     _work(work, as_json=as_json, supervised=supervised)
 

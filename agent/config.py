@@ -9,6 +9,7 @@ from __future__ import annotations
 import difflib
 import math
 import os
+import re
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
@@ -22,15 +23,20 @@ from agent.files import read_bytes
 from mapping.evidence import EvidenceModel, to_units
 from mapping.lattice import Lattice
 from mapping.pose import Pose, QuantisedPose
-from mapping.sensor import ORION_RANGE, Sensor, laser, orion, sensor
+from mapping.sensor import MAX_RANGE_LIMIT_MM, ORION_RANGE, Sensor, laser, orion, sensor
 from swarm.session import ROBOT_ID, Rules
 from transport.bus import is_name
 
 Speed = Annotated[float, Field(gt=0, allow_inf_nan=False)] | Literal["max"]
 Publish = Literal["auto", "scans", "tiles"]
+_Degrees = Annotated[float, Field(ge=-36_000, le=36_000)]
+_Range = Annotated[float, Field(gt=0, le=MAX_RANGE_LIMIT_MM / 1000)]
 
 _ENVIRONMENT = ("swarm", "cell", "transport", "base_port", "radio", "publish")
 """What ``ORION_SWARM``, ``ORION_CELL`` ... may set."""
+
+_HOST = re.compile(r"[A-Za-z0-9._-]{1,253}|(?=[^:]*:[^:]*:)[0-9A-Fa-f:.]+(%[A-Za-z0-9._-]+)?")
+"""A name, an IPv4 address, or an IPv6 address; nothing that an endpoint could take for its own punctuation."""
 
 
 class _Table(BaseModel):
@@ -42,7 +48,7 @@ class Start(_Table):
 
     x: float = Field(0.0, ge=-1e6, le=1e6)
     y: float = Field(0.0, ge=-1e6, le=1e6)
-    yaw_deg: float = 0.0
+    yaw_deg: _Degrees = 0.0
 
     def quantised(self) -> QuantisedPose:
         """As descriptors carry it."""
@@ -68,14 +74,22 @@ class RecordedBody(_Table):
     part: int = Field(1, ge=1, description="which piece of a log that is cut")
     parts: int = Field(1, ge=1, description="into how many pieces of equal path")
     poses: Literal["truth", "odometry", "slam"] | None = None
-    max_range: float | None = Field(None, gt=0)
+    max_range: _Range | None = None
     speed: Speed = 1.0
 
 
 def _robot_id(name: str) -> str:
     if not ROBOT_ID.fullmatch(name):
         raise ValueError("a robot id is 1 to 32 letters, digits, - or _, and begins with a letter or digit")
+    if name == "observer":
+        raise ValueError("no robot is called observer: that is the peer without a body")
     return name
+
+
+def _host(host: str) -> str:
+    if not _HOST.fullmatch(host):
+        raise ValueError("a host is a name or an address, without port and brackets")
+    return host
 
 
 def _swarm_name(name: str) -> str:
@@ -90,7 +104,7 @@ RobotId = Annotated[str, AfterValidator(_robot_id)]
 class Robot(_Table):
     """One robot of the roster."""
 
-    host: str = Field("127.0.0.1", min_length=1)
+    host: Annotated[str, AfterValidator(_host)] = "127.0.0.1"
     start: Start | None = None
     publish: Publish | None = None
     body: Annotated[SimulatedBody | RecordedBody, Field(discriminator="kind")] = SimulatedBody(kind="simulated")
@@ -108,7 +122,7 @@ class OrionSensor(_Table):
     """The paper's five beams."""
 
     kind: Literal["orion"] = "orion"
-    max_range: float = Field(ORION_RANGE, gt=0)
+    max_range: _Range = ORION_RANGE
 
     def build(self) -> Sensor:
         """The sensor."""
@@ -120,9 +134,9 @@ class LaserSensor(_Table):
 
     kind: Literal["laser"]
     beams: int = Field(ge=1, le=4096)
-    first_deg: float
-    step_deg: float
-    max_range: float = Field(20.0, gt=0)
+    first_deg: _Degrees
+    step_deg: _Degrees
+    max_range: _Range = 20.0
 
     def build(self) -> Sensor:
         """The sensor."""
@@ -137,9 +151,9 @@ class LaserSensor(_Table):
 class BeamTable(_Table):
     """Where one beam starts on the robot, metres, and where it looks, degrees from forward."""
 
-    x: float = 0.0
-    y: float = 0.0
-    bearing_deg: float
+    x: float = Field(0.0, ge=-32, le=32)
+    y: float = Field(0.0, ge=-32, le=32)
+    bearing_deg: _Degrees
 
 
 class BeamsSensor(_Table):
@@ -147,7 +161,7 @@ class BeamsSensor(_Table):
 
     kind: Literal["beams"]
     beams: list[BeamTable] = Field(min_length=1, max_length=4096)
-    max_range: float = Field(gt=0)
+    max_range: _Range
 
     def build(self) -> Sensor:
         """The sensor."""
@@ -211,7 +225,7 @@ def load(path: Path | None, options: Mapping[str, Any], environment: Mapping[str
     if path is not None:
         try:
             table = tomllib.loads(read_bytes(path).decode())
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        except (ValueError, RecursionError) as error:  # not TOML, not UTF-8, a number or a nesting without end
             raise UserError(
                 path, f"is no TOML: {error}", "mend that line; each robot and key may appear once"
             ) from None
@@ -258,9 +272,8 @@ def _anchor(table: dict[str, Any], folder: Path) -> None:
 
 
 def _complaint(error: ValidationError, source: Any) -> UserError:
-    first = error.errors()[0]
-    tags = {"simulated", "recording", "orion", "laser", "beams"}
-    path = [str(part) for part in first["loc"] if part not in tags and part != "[key]"]
+    first = min(error.errors(), key=lambda e: e["type"] != "extra_forbidden")  # a misspelt key also leaves one missing
+    path = [str(part) for part in _keys(first["loc"])]
     key = ".".join(path)
     where = f"{source(path[0])}: {key}" if path else str(source(""))
     if first["type"] == "extra_forbidden":
@@ -268,6 +281,10 @@ def _complaint(error: ValidationError, source: Any) -> UserError:
         near = difflib.get_close_matches(path[-1], known, 1)
         remedy = f"did you mean {near[0]}?" if near else f"known here: {', '.join(known)}"
         return UserError(where, "is no key of the configuration", remedy)
+    if first["type"] in {"union_tag_not_found", "union_tag_invalid"}:
+        what = f"{first['ctx']['tag']!r} is unknown" if "tag" in first["ctx"] else "is missing"
+        kinds = "orion, laser or beams" if path == ["sensor"] else "simulated or recording"
+        return UserError(f"{where}.kind", what, f"give {kinds}")
     what = first["msg"].removeprefix("Value error, ")
     what = what[:1].lower() + what[1:]
     given = first.get("input")
@@ -276,21 +293,36 @@ def _complaint(error: ValidationError, source: Any) -> UserError:
     return UserError(where, what, "mend this value")
 
 
+def _keys(location: tuple[int | str, ...]) -> list[int | str]:
+    """Where an error is, as keys of the file: pydantic puts in the kind of a sensor or body, and what is a key."""
+    keys = list(location)
+    tag = {"sensor": 1, "robots": 3}.get(str(keys[0]) if keys else "")
+    if tag is not None and len(keys) > tag and (tag == 1 or keys[2] == "body"):
+        del keys[tag]
+    return [key for key in keys if key != "[key]"]
+
+
 def _known_keys(location: tuple[int | str, ...]) -> set[str]:
     """The keys of the table in which an unknown one was found."""
-    tables: dict[str, type[BaseModel]] = {
-        "evidence": Evidence,
-        "start": Start,
+    kinds: dict[object, type[BaseModel]] = {
         "simulated": SimulatedBody,
         "recording": RecordedBody,
         "orion": OrionSensor,
         "laser": LaserSensor,
         "beams": BeamsSensor,
     }
-    parents = [str(part) for part in location[:-1]]
-    if not parents:
-        return set(Config.model_fields)
-    if len(parents) == 2 and parents[0] == "robots":
-        return set(Robot.model_fields)
-    named = next((tables[part] for part in reversed(parents) if part in tables), BeamTable)
-    return set(named.model_fields)
+    table: type[BaseModel]
+    match location[:-1]:
+        case ("evidence",):
+            table = Evidence
+        case ("sensor", kind) | ("robots", _, "body", kind):
+            table = kinds[kind]
+        case ("sensor", *_):
+            table = BeamTable
+        case ("robots", _, "start"):
+            table = Start
+        case ("robots", _):
+            table = Robot
+        case _:
+            table = Config
+    return set(table.model_fields)

@@ -6,6 +6,8 @@ from __future__ import annotations
 class UserError(Exception):
     """Bad input or a bad configuration. The command line prints it as one line and exits with status 2.
 
+    Keys, names and values come from the user's files: whatever in them is no printable character is shown escaped.
+
     Args:
         where: the file, key or option at fault.
         what: what is wrong with it.
@@ -13,5 +15,9 @@ class UserError(Exception):
     """
 
     def __init__(self, where: object, what: str, remedy: str) -> None:
-        self.where, self.what, self.remedy = str(where), what, remedy
-        super().__init__(f"{where}: {what}; {remedy}")
+        self.where, self.what, self.remedy = _printable(str(where)), _printable(what), _printable(remedy)
+        super().__init__(f"{self.where}: {self.what}; {self.remedy}")
+
+
+def _printable(text: str) -> str:
+    return "".join(sign if sign.isprintable() else repr(sign)[1:-1] for sign in text)

@@ -7,6 +7,7 @@ published and reports the same digest; no process outlives this one.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import queue
 import subprocess
@@ -44,6 +45,7 @@ class Member:
         status: its last status, see ``Node``.
         report: its summary, once it has ended.
         error: what it could not do, in its own words.
+        alive: whether more may come from it: False once its output has ended and all of it was taken in.
     """
 
     name: str
@@ -52,11 +54,7 @@ class Member:
     status: dict[str, Any] = field(default_factory=dict)
     report: dict[str, Any] | None = None
     error: tuple[str, str, str] | None = None
-
-    @property
-    def alive(self) -> bool:
-        """Whether the process runs."""
-        return self.process.poll() is None
+    alive: bool = True
 
     def order(self, word: str) -> None:
         """Tell the process something; one that is gone does not hear it."""
@@ -66,6 +64,17 @@ class Member:
             self.process.stdin.flush()
         except (BrokenPipeError, ValueError):
             pass
+
+    def end(self, deadline: float) -> None:
+        """See the process out; one that still runs at the deadline (``time.monotonic``) is killed."""
+        try:
+            self.process.wait(max(0.0, deadline - time.monotonic()))
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            self.process.wait()
+        assert self.process.stdin is not None
+        with contextlib.suppress(BrokenPipeError):
+            self.process.stdin.close()
 
 
 class Fleet:
@@ -78,27 +87,29 @@ class Fleet:
         self.members: dict[str, Member] = {}
 
     def __enter__(self) -> Self:
-        file = str(self._out / "orion.toml")
-        for robot in self._config.roster:
-            self._start(robot, ["agent", "-c", file, "--robot", robot])
-        self._start(OBSERVER, ["observe", "-c", file, "--out", str(self._out)])
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        if isinstance(error, UserError):  # nothing came of it: nobody shall write a map
+            patience = 0.0
+        else:
+            self._order("finish")
+            patience = _LEAVING if error is None else 2.0
+        deadline = time.monotonic() + patience
         for member in self.members.values():
-            member.order("finish")
-        deadline = time.monotonic() + (_LEAVING if error is None else 2.0)
-        for member in self.members.values():
-            try:
-                member.process.wait(max(0.1, deadline - time.monotonic()))
-            except subprocess.TimeoutExpired:
-                member.process.kill()
-                member.process.wait()
+            member.end(deadline)
+
+    def start(self) -> None:
+        """Start every process."""
+        file = str(self._out / "orion.toml")
+        for robot in self._config.roster:
+            self._start(robot, ["agent", "-c", file, "--robot", robot])
+        self._start(OBSERVER, ["observe", "-c", file, "--out", str(self._out)])
 
     def _start(self, name: str, arguments: list[str]) -> None:
-        process = subprocess.Popen(
+        process = subprocess.Popen(  # noqa: S603 - our own command
             [sys.executable, "-P", "-m", "agent", *arguments, "--supervised"],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
@@ -110,8 +121,10 @@ class Fleet:
 
     def _listen(self, member: Member) -> None:
         assert member.process.stdout is not None
-        for line in member.process.stdout:
-            self._news.put((member, json.loads(line)))
+        with member.process.stdout as lines:
+            for line in lines:
+                with contextlib.suppress(ValueError):  # a killed process stops in the middle of a line
+                    self._news.put((member, json.loads(line)))
         self._news.put((member, None))
 
     # --- the run
@@ -144,15 +157,16 @@ class Fleet:
                     return False
 
     def finish(self) -> None:
-        """Tell everybody to end and collect what they report."""
+        """Tell everybody to end and collect what they report.
+
+        Raises:
+            UserError: a process could not do its last work, such as write the map, in its own words.
+        """
         self._order("finish")
         deadline = time.monotonic() + _LEAVING
-        while time.monotonic() < deadline and any(
-            member.report is None and (member.alive or not self._news.empty()) for member in self.members.values()
-        ):
+        while time.monotonic() < deadline and self._living():
             self._take_news(0.1)
-        while self._take_news(0.0):
-            pass
+        self._check_failures()
 
     def _order(self, word: str) -> None:
         for member in self.members.values():
@@ -164,17 +178,18 @@ class Fleet:
             member, line = self._news.get(timeout=timeout)
         except queue.Empty:
             return False
-        match line:
-            case None:
-                member.process.wait()
-            case {"event": "ready"}:
+        if line is None:
+            member.alive = False
+            return True
+        match line.pop("event"):
+            case "ready":
                 member.ready = True
-            case {"event": "status", **status}:
-                member.status = status
-            case {"event": "report", **report}:
-                member.report = report
-            case {"event": "error", "where": where, "what": what, "remedy": remedy}:
-                member.error = (where, what, remedy)
+            case "status":
+                member.status = line
+            case "report":
+                member.report = line
+            case "error":
+                member.error = (line["where"], line["what"], line["remedy"])
         return True
 
     def _check_failures(self) -> None:

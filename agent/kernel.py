@@ -66,8 +66,9 @@ class Compilation:
         self._process: subprocess.Popen[bytes] | None = None
         if importlib.util.find_spec("numba") is not None:
             quiet = subprocess.DEVNULL
-            self._process = subprocess.Popen(
-                [sys.executable, "-P", "-m", "agent.kernel"], stdin=quiet, stdout=quiet, stderr=quiet, start_new_session=True
+            command = [sys.executable, "-P", "-m", "agent.kernel"]
+            self._process = subprocess.Popen(  # noqa: S603 - our own command
+                command, stdin=quiet, stdout=quiet, stderr=quiet, start_new_session=True
             )
         return self
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import signal
 import sys
 import time
@@ -17,6 +18,7 @@ from agent.files import prepare_folder, write_whole
 from agent.fleet import Fleet
 from agent.links import check_ports
 from agent.progress import progress
+from mapping.sensor import Sensor
 
 
 def demo_config(base: Config, *, world: str, robots: int | None, speed: float | str, seed: int) -> Config:
@@ -40,7 +42,7 @@ def demo_config(base: Config, *, world: str, robots: int | None, speed: float | 
     roster: dict[str, Any] = {}
     for k, name in enumerate(base.roster or [f"r{k + 1}" for k in range(count)]):
         start = starts[k]
-        truth = {"x": start.x, "y": start.y, "yaw_deg": round(start.yaw * 180 / 3.141592653589793, 9)}
+        truth = {"x": start.x, "y": start.y, "yaw_deg": round(math.degrees(start.yaw), 9)}
         body = {"kind": "simulated", "world": _absolute(world), "index": k, "seed": seed, "speed": speed}
         roster[name] = {"start": truth, **table.get("robots", {}).get(name, {}), "body": body}
     return resolve(table | {"robots": roster})
@@ -65,11 +67,12 @@ def replay_config(
     bodies: list[dict[str, Any]] = []
     for path in recordings:
         found = read(path, poses=poses, max_range=max_range)
+        _check_range(base, path, found[0].sensor)
         pieces = robots if robots is not None and len(recordings) == len(found) == 1 else 1
         split(found[0], pieces)
         options = {"poses": poses, "max_range": max_range}
         for k in range(len(found)):
-            body = {"kind": "recording", "path": str(path.absolute()), "robot": k, "speed": speed, "parts": pieces}
+            body = {"kind": "recording", "path": _in_a_file(path), "robot": k, "speed": speed, "parts": pieces}
             body |= {key: value for key, value in options.items() if value is not None}
             bodies += [body | {"part": part + 1} for part in range(pieces)]
     if robots is not None and robots != len(bodies):
@@ -84,9 +87,26 @@ def replay_config(
     return resolve(table | {"robots": roster})
 
 
+def _check_range(base: Config, path: Path, sensor: Sensor) -> None:
+    try:
+        base.rules().lattice.check_range(sensor.max_range_mm)
+    except ValueError as error:
+        raise UserError(path, str(error), "give a shorter --max-range or a larger --cell") from None
+
+
+def _in_a_file(path: Path) -> str:
+    """The absolute path, if a TOML can hold it."""
+    text = str(path.absolute())
+    try:
+        text.encode()
+    except UnicodeEncodeError:
+        raise UserError(path, "is no name in UTF-8, as the resolved configuration must have it", "rename it") from None
+    return text
+
+
 def _absolute(world: str) -> str:
     """A world's file wherever we are; a packaged world's name as it is."""
-    return str(Path(world).absolute()) if "/" in world or world.endswith((".yaml", ".yml")) else world
+    return _in_a_file(Path(world)) if "/" in world or world.endswith((".yaml", ".yml")) else world
 
 
 def launch(config: Config, out: Path, *, as_json: bool) -> bool:
@@ -109,8 +129,12 @@ def launch(config: Config, out: Path, *, as_json: bool) -> bool:
     interrupted = False
     with Fleet(config, folder) as fleet:
         try:
+            fleet.start()
             with progress() as bars:
                 settled = fleet.run(bars)
+        except UserError:
+            (folder / "orion.toml").unlink(missing_ok=True)  # nothing came of it
+            raise
         except KeyboardInterrupt:
             interrupted, settled = True, False
             signal.signal(signal.SIGINT, signal.SIG_IGN)

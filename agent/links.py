@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import socket
 from typing import TYPE_CHECKING
 
@@ -28,6 +29,8 @@ def open_bus(config: Config, name: str, index: int | None) -> ZenohBus:
     """
     from transport.zenoh_bus import ZenohBus
 
+    if index is not None:
+        _check_port(config, index)
     endpoints = roster_endpoints(config.hosts, config.base_port, index)
     try:
         return ZenohBus(config.swarm, peer_name(name), listen=endpoints.listen, connect=endpoints.connect)
@@ -41,16 +44,27 @@ def check_ports(config: Config) -> None:
     Raises:
         UserError: a port is occupied, or a host is not ours.
     """
-    for index, (robot, host) in enumerate(zip(config.roster, config.hosts, strict=True)):
-        port = config.base_port + index
-        try:
-            found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
-            family, kind, protocol, _, address = found[0]
-            with socket.socket(family, kind, protocol) as probe:
-                probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-                probe.bind(address)
-        except OSError as error:
-            reason = error.strerror or str(error)
-            raise UserError(
-                f"robots.{robot}: {host}:{port}", reason[:1].lower() + reason[1:], "give another --base-port, or a host of this machine"
-            ) from None
+    for index in range(len(config.roster)):
+        _check_port(config, index)
+
+
+def _check_port(config: Config, index: int) -> None:
+    robot, host, port = config.roster[index], config.hosts[index], config.base_port + index
+    try:
+        family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+        with socket.socket(family, kind, protocol) as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            probe.bind(address)
+    except (OSError, UnicodeError) as error:  # UnicodeError: a name that no resolver is asked for, such as a..b
+        reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
+        raise UserError(f"robots.{robot}: {host}:{port}", reason[:1].lower() + reason[1:], _remedy(error)) from None
+
+
+def _remedy(error: Exception) -> str:
+    match error:
+        case OSError(errno=errno.EADDRINUSE):
+            return "give another base_port"
+        case PermissionError():
+            return "give a base_port of 1024 or more"
+        case _:
+            return "give the robot a host of this machine"

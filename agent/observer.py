@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from agent.config import Config
 from agent.control import Control
+from agent.errors import UserError
 from agent.links import open_bus
 from agent.map_files import save_map
 from agent.node import SOFTWARE, Node
@@ -52,17 +53,22 @@ def run_observer(config: Config, out: Path | None, control: Control) -> dict[str
         control: who says when.
 
     Raises:
-        UserError: an endpoint cannot be used, or a file cannot be written.
+        UserError: there are no robots, an endpoint cannot be used, or a file cannot be written.
     """
+    if not config.robots:
+        raise UserError(
+            "robots", "none in the configuration, so there is nobody to observe", "give the swarm's TOML: -c"
+        )
     trails = Trails()
     with open_bus(config, "observer", None) as bus:
         node = Node(bus, config.rules(), Hello(Hello.OBSERVER, b"observer", SOFTWARE), listener=trails)
         control.tell("ready")
         node.run(control)
-        summary = node.summary()
-    grid = Grid.of(node.peer.fusion.tiles, config.rules().lattice)
-    files = {} if out is None else write_maps(node.peer, grid, trails, config.roster, out)
-    return {"tiles": len(node.peer.fusion.tiles), "known_m2": round(grid.known_m2, 6), **summary, "files": files}
+        grid = Grid.of(node.peer.fusion.tiles, config.rules().lattice)
+        # before the bus is left: a mute peer may hold that up for seconds
+        files = {} if out is None else write_maps(node.peer, grid, trails, config.roster, out)
+        facts = {"tiles": len(node.peer.fusion.tiles), "known_m2": round(grid.known_m2, 6)}
+        return {**facts, **node.summary(), "files": files}
 
 
 def write_maps(peer: Peer, grid: Grid, trails: Trails, roster: list[str], out: Path) -> dict[str, Any]:

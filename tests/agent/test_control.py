@@ -1,0 +1,113 @@
+"""Orders to a process: from a terminal's signals, and from the standard input of one that was started."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import signal
+import sys
+import time
+from collections.abc import Callable, Iterator
+
+import pytest
+
+from agent.control import Control, Supervised
+
+
+def until(condition: Callable[[], object]) -> None:
+    deadline = time.monotonic() + 10
+    while not condition():
+        assert time.monotonic() < deadline
+
+
+@pytest.fixture
+def signals() -> Iterator[None]:
+    """Gives the signals' handlers back."""
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
+@pytest.fixture
+def starter(monkeypatch: pytest.MonkeyPatch) -> Iterator[io.TextIOBase]:
+    """The other end of our standard input."""
+    reading, writing = os.pipe()
+    with open(reading) as stdin, open(writing, "w", buffering=1) as other_end:  # noqa: PTH123 - descriptors
+        monkeypatch.setattr(sys, "stdin", stdin)
+        yield other_end
+
+
+# In a terminal
+
+
+def test_a_process_in_a_terminal_goes_at_once_and_says_nothing(capsys: pytest.CaptureFixture[str]) -> None:
+    control = Control()
+    assert (control.go, control.stop, control.kernel) == (True, False, False)
+    control.tell("status", around=3)
+    assert capsys.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.usefixtures("signals")
+def test_the_first_signal_stops_it_cleanly_and_the_second_at_once(number: signal.Signals) -> None:
+    control = Control()
+    control.obey_signals()
+    signal.raise_signal(number)
+    assert control.stop
+    with pytest.raises(KeyboardInterrupt):
+        signal.raise_signal(number)
+
+
+# Started by another
+
+
+def test_a_supervised_process_waits_for_the_word(starter) -> None:
+    control = Supervised()
+    assert (control.go, control.stop, control.kernel) == (False, False, False)
+    starter.write("kernel\n")
+    until(lambda: control.kernel)
+    assert not control.go
+    starter.write("go\n")
+    until(lambda: control.go)
+    assert not control.stop
+    starter.write("finish\n")
+    until(lambda: control.stop)
+
+
+def test_words_that_mean_nothing_change_nothing(starter) -> None:
+    control = Supervised()
+    starter.write("\nGO\nstop\nümlaut\ngo on\n kernel \n")
+    until(lambda: control.kernel)
+    assert (control.go, control.stop) == (False, False)
+
+
+def test_a_supervised_process_stops_when_its_starter_is_gone(starter) -> None:
+    control = Supervised()
+    starter.close()
+    until(lambda: control.stop)
+    assert not control.go
+
+
+def test_a_supervised_process_tells_in_lines_of_json(starter, capsys: pytest.CaptureFixture[str]) -> None:
+    control = Supervised()
+    control.tell("ready")
+    control.tell("status", positions={"00ff": 3}, refused=["räume"])
+    lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert lines == [{"event": "ready"}, {"event": "status", "positions": {"00ff": 3}, "refused": ["räume"]}]
+    starter.close()
+    until(lambda: control.stop)
+
+
+@pytest.mark.parametrize("trouble", [BrokenPipeError(), ValueError("closed")])
+def test_telling_somebody_who_is_gone_means_to_stop(starter, monkeypatch: pytest.MonkeyPatch, trouble) -> None:
+    class Gone(io.StringIO):
+        def write(self, text: str) -> int:
+            raise trouble
+
+    control = Supervised()
+    monkeypatch.setattr(sys, "stdout", Gone())
+    control.tell("ready")
+    assert control.stop
+    starter.close()

@@ -1,0 +1,308 @@
+"""A process's one loop, on the in-process bus under a fake clock: it senses, publishes, follows and reports."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+
+import agent.node
+from agent.body import BATCH
+from agent.node import NoBody, Node, peer_name
+from mapping.evidence import EvidenceModel
+from mapping.integrate import integrated
+from mapping.lattice import Lattice
+from mapping.pose import QuantisedPose
+from mapping.scan import Scans
+from mapping.sensor import orion
+from mapping.tiles import map_digest
+from swarm.messages import Hello
+from swarm.session import Rules
+from transport.bus import is_name
+from transport.in_process import InProcessBus, Network
+
+RULES = Rules(Lattice(20), EvidenceModel())
+ORIGIN = QuantisedPose(0, 0, 0)
+STEP = 0.01
+
+
+class Body:
+    """A robot that turns on the spot, ten scans a second."""
+
+    def __init__(self, count: int = 20) -> None:
+        self.sensor = orion()
+        turns = np.arange(count) * 65536 // count
+        poses = np.column_stack([np.zeros((count, 2), np.int64), turns]).astype(np.int32)
+        ranges = np.full((count, 5), 500, np.uint16)
+        self.scans = Scans(np.arange(count, dtype=np.int64) * 100, poses, ranges)
+        self.given = 0
+        self.asked: list[float] = []
+
+    def read(self, until: float) -> Scans:
+        self.asked.append(until)
+        due = min(int(np.searchsorted(self.scans.stamps_ms / 1000, until)), self.given + BATCH)
+        rows = slice(self.given, max(self.given, due))
+        self.given = rows.stop
+        return self.scans[rows]
+
+    @property
+    def progress(self) -> tuple[int, int]:
+        return self.given, len(self.scans)
+
+    @property
+    def done(self) -> bool:
+        return self.given == len(self.scans)
+
+    def digest(self, rules: Rules = RULES) -> str:
+        return map_digest(integrated({}, self.scans, self.sensor, rules.model, rules.lattice)).hex()
+
+
+class Conductor:
+    """A node's control: every look at ``stop`` is a step of the fake time, until the piece is over.
+
+    Attributes:
+        told: all statuses.
+    """
+
+    def __init__(self, time: FakeTime, over: Callable[[Conductor], bool], *, go: bool = True) -> None:
+        self.go, self.kernel = go, False
+        self.told: list[dict[str, Any]] = []
+        self.at: list[float] = []
+        self._time, self._over = time, over
+        self._steps: Iterator[None] = iter(())
+
+    def plays(self, steps: Iterator[None]) -> None:
+        """Have somebody else's loop take a step for each of ours."""
+        self._steps = steps
+
+    @property
+    def stop(self) -> bool:
+        self._time.passes()
+        next(self._steps, None)
+        assert self._time.now < 60, "it takes too long"
+        return self._over(self)
+
+    def tell(self, event: str, **facts: Any) -> None:
+        assert event == "status"
+        self.told.append(facts)
+        self.at.append(self._time.now)
+
+
+class FakeTime:
+    """Stands for ``time`` in the node, and moves the network along."""
+
+    def __init__(self) -> None:
+        self.now = 0.0
+        self.network = Network(seed=1)
+
+    def monotonic(self) -> float:
+        return self.now
+
+    def passes(self) -> None:
+        self.now += STEP
+        self.network.advance(self.now)
+
+
+@pytest.fixture
+def time(monkeypatch: pytest.MonkeyPatch) -> FakeTime:
+    fake = FakeTime()
+    monkeypatch.setattr(agent.node, "time", fake)
+    return fake
+
+
+def robot(bus: InProcessBus, body: Body, **options: Any) -> Node:
+    node = Node(bus, RULES, Hello(Hello.ROBOT, b"r1", b"test"), body=body, **options)
+    node.open_session("r1", ORIGIN, "auto")
+    return node
+
+
+def observer(bus: InProcessBus, rules: Rules = RULES, **options: Any) -> Node:
+    return Node(bus, rules, Hello(Hello.OBSERVER, b"o", b"test"), **options)
+
+
+def steps(node: Node, time: FakeTime) -> Iterator[None]:
+    """The other node's loop, a turn at a time (what ``run`` does until it is told to stop)."""
+    while True:
+        node._hear()
+        node._say(time.monotonic())
+        yield
+
+
+def done(conductor: Conductor) -> bool:
+    return bool(conductor.told) and bool(conductor.told[-1]["done"])
+
+
+# Senses
+
+
+def test_what_a_body_senses_becomes_the_robots_session_and_map(time) -> None:
+    body = Body()
+    node = robot(time.network.bus("r1"), body)
+    node.run(Conductor(time, done))
+    assert node.scans == 20
+    assert node.summary()["map_digest"] == body.digest()
+    (replica,) = node.peer.replicas.values()
+    assert replica.state.n > 5  # 2 s of scans in updates of 50 ms
+
+
+def test_a_body_moves_when_it_may_and_at_its_speed(time) -> None:
+    body = Body()
+    control = Conductor(time, lambda control: time.now > 0.5 and not control.go, go=False)
+    node = robot(time.network.bus("r1"), body, speed=10.0)
+    node.run(control)
+    assert body.asked == []
+    began = time.now
+    node.run(Conductor(time, done))
+    assert body.asked[0] == 0.0  # its own time begins when it may go
+    assert 0.1 < time.now - began < 0.5
+    assert body.asked[5] == pytest.approx(10.0 * 5 * STEP)
+
+
+def test_a_body_as_fast_as_it_can_is_read_to_infinity_and_still_listens(time) -> None:
+    body = Body(5 * BATCH)
+    node = robot(time.network.bus("r1"), body, speed=math.inf)
+    heard = []
+    hear = node._hear
+    node._hear = lambda: (heard.append(body.given), hear())[1]  # type: ignore[method-assign]
+    node.run(Conductor(time, done))
+    assert set(body.asked) == {math.inf}
+    assert heard[:5] == [BATCH, 2 * BATCH, 3 * BATCH, 4 * BATCH, 5 * BATCH]
+
+
+def test_what_was_sensed_last_is_published_when_it_is_told_to_stop(time) -> None:
+    body = Body()
+    node = robot(time.network.bus("r1"), body, speed=math.inf)
+    node.run(Conductor(time, lambda control: body.done))  # it stops with news in hand
+    assert node.peer.writer is not None
+    assert not node.peer.writer.waiting
+    assert node.summary()["map_digest"] == body.digest()
+
+
+# Publishes and follows
+
+
+def test_an_observer_follows_a_robot_to_the_same_map(time) -> None:
+    body, heard = Body(), []
+    watching = observer(time.network.bus("o"), listener=lambda descriptor, update: heard.append(descriptor.robot))
+    node = robot(time.network.bus("r1"), body)
+    control = Conductor(
+        time, lambda control: done(control) and len(heard) == sum(control.told[-1]["positions"].values())
+    )
+    control.plays(steps(watching, time))
+    node.run(control)
+    assert watching.summary()["map_digest"] == node.summary()["map_digest"] == body.digest()
+    assert set(heard) == {"r1"}
+    assert node.summary()["bytes_sent"] > 0
+    assert node.summary()["dropped"] == {}
+
+
+def test_an_observer_that_comes_late_has_all_of_it(time) -> None:
+    body = Body()
+    node = robot(time.network.bus("r1"), body, speed=math.inf)
+    node.run(Conductor(time, done))
+    late = observer(time.network.bus("o"))
+    control = Conductor(time, lambda control: bool(control.told) and control.told[-1]["positions"] != {})
+    control.plays(steps(node, time))
+    late.run(control)
+    late.run(Conductor(time, lambda _, end=time.now + 0.2: time.now > end))
+    assert late.summary()["map_digest"] == body.digest()
+
+
+def test_messages_that_mean_nothing_are_counted_and_named_in_the_summary(time) -> None:
+    node = observer(time.network.bus("o"))
+    noisy = time.network.bus("x")
+    for payload in (b"", b"\xff" * 9, b"hello"):
+        noisy.publish("update", payload)
+    node.run(Conductor(time, lambda control: time.now > 0.1))
+    assert sum(node.summary()["dropped"].values()) == 3
+
+
+# Reports
+
+
+def test_statuses_tell_who_is_around_how_far_it_is_and_what_it_knows(time) -> None:
+    time.network.bus("x")
+    node = robot(time.network.bus("r1"), Body())
+    control = Conductor(time, done)
+    node.run(control)
+    (session,) = node.peer.replicas
+    first, last = control.told[0], control.told[-1]
+    assert first.keys() == last.keys() == {"around", "progress", "done", "positions", "refused"}
+    assert (first["done"], last["done"]) == (False, True)
+    assert last["around"] == 1
+    assert tuple(last["progress"]) == (20, 20)
+    assert last["positions"] == {session.hex(): node.peer.replicas[session].state.n}
+
+
+def test_statuses_are_news_and_at_most_ten_a_second(time) -> None:
+    control = Conductor(time, lambda control: time.now > 5)
+    robot(time.network.bus("r1"), Body()).run(control)
+    assert all(later - earlier >= 0.1 - 1e-9 for earlier, later in zip(control.at, control.at[1:], strict=False))
+    assert all(one != other for one, other in zip(control.told, control.told[1:], strict=False))
+    assert control.at[-1] < 2.5  # nothing new: nothing said
+
+
+def test_done_is_not_said_before_everything_is_published(time) -> None:
+    node = robot(time.network.bus("r1"), Body(), speed=math.inf)
+    control = Conductor(time, done)
+    node.run(control)
+    assert node.peer.writer is not None
+    for status in control.told:
+        assert status["done"] is False or status["positions"] == control.told[-1]["positions"]
+    assert not node.peer.writer.waiting
+
+
+def test_those_who_leave_are_not_around(time) -> None:
+    other = time.network.bus("x")
+    node = observer(time.network.bus("o"))
+    control = Conductor(time, lambda control: time.now > 0.3)
+    node.run(control)
+    other.close()
+    control = Conductor(time, lambda control: time.now > 0.6)
+    node.run(control)
+    assert control.told[-1]["around"] == 0
+
+
+def test_a_robot_with_other_rules_is_refused_in_words(time) -> None:
+    rules = Rules(Lattice(50), EvidenceModel())
+    node = robot(time.network.bus("r1"), Body())
+    watching = observer(time.network.bus("o"), rules)
+    control = Conductor(time, lambda control: bool(control.told) and bool(control.told[-1]["refused"]))
+    control.plays(steps(node, time))
+    watching.run(control)
+    assert control.told[-1]["refused"] == ["r1: cell size 0.02 m, ours is 0.05 m"]
+    assert control.told[-1]["positions"] == {}
+
+
+# Odds and ends
+
+
+def test_an_observers_body_senses_nothing_and_is_always_done() -> None:
+    body = NoBody()
+    assert (len(body.read(math.inf)), body.progress, body.done) == (0, (0, 0), True)
+
+
+def test_no_two_processes_have_one_name_on_the_bus() -> None:
+    names = {peer_name("r" * 32) for _ in range(100)}
+    assert len(names) == 100
+    assert all(is_name(name) for name in names)
+
+
+def test_the_kernel_is_loaded_when_there_is_one_and_the_loop_does_not_end_in_the_middle_of_it(
+    time, monkeypatch
+) -> None:
+    node = robot(time.network.bus("r1"), Body())
+    asked = []
+    monkeypatch.setattr(node._kernel, "load", lambda: asked.append("load"))
+    monkeypatch.setattr(node._kernel, "close", lambda: asked.append("close"))
+    control = Conductor(time, lambda control: time.now > 0.1)
+    node.run(control)
+    assert asked == ["close"]
+    control = Conductor(time, lambda control: time.now > 0.2)
+    control.kernel = True
+    node.run(control)
+    assert asked[1] == "load"
+    assert asked[-1] == "close"
