@@ -14,7 +14,6 @@ import subprocess
 import sys
 import threading
 import time
-from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -22,6 +21,7 @@ from typing import Any, Self
 from agent.config import Config
 from agent.errors import UserError
 from agent.kernel import Compilation
+from agent.member import Member
 from agent.progress import Progress
 
 OBSERVER = "observer"
@@ -33,48 +33,6 @@ _STALLED = 60.0
 
 _LEAVING = 20.0
 """Seconds in which a process must end that was told to."""
-
-
-@dataclass
-class Member:
-    """One process of the fleet, and what it last said.
-
-    Attributes:
-        name: the robot's id, or ``observer``.
-        process: the running command.
-        status: its last status, see ``Node``.
-        report: its summary, once it has ended.
-        error: what it could not do, in its own words.
-        alive: whether more may come from it: False once its output has ended and all of it was taken in.
-    """
-
-    name: str
-    process: subprocess.Popen[str]
-    ready: bool = False
-    status: dict[str, Any] = field(default_factory=dict)
-    report: dict[str, Any] | None = None
-    error: tuple[str, str, str] | None = None
-    alive: bool = True
-
-    def order(self, word: str) -> None:
-        """Tell the process something; one that is gone does not hear it."""
-        assert self.process.stdin is not None
-        try:
-            self.process.stdin.write(word + "\n")
-            self.process.stdin.flush()
-        except (BrokenPipeError, ValueError):
-            pass
-
-    def end(self, deadline: float) -> None:
-        """See the process out; one that still runs at the deadline (``time.monotonic``) is killed."""
-        try:
-            self.process.wait(max(0.0, deadline - time.monotonic()))
-        except subprocess.TimeoutExpired:
-            self.process.kill()
-            self.process.wait()
-        assert self.process.stdin is not None
-        with contextlib.suppress(BrokenPipeError):
-            self.process.stdin.close()
 
 
 class Fleet:

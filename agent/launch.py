@@ -62,7 +62,7 @@ def replay_config(
     Raises:
         UserError: a recording is bad, or the numbers of recordings and robots do not fit.
     """
-    from agent.recording import read, split
+    from agent.playback import read, split
 
     bodies: list[dict[str, Any]] = []
     for path in recordings:

@@ -70,8 +70,8 @@ def build_body(config: Config, robot: str, start: QuantisedPose) -> Body:
 def _recorded(robot: str, settings: RecordedBody, start: QuantisedPose) -> Body:
     from pathlib import Path
 
-    from agent.recording import RecordedBody as Playback
-    from agent.recording import read, split
+    from agent.playback import RecordedBody as Playback
+    from agent.playback import read, split
 
     recordings = read(Path(settings.path), poses=settings.poses, max_range=settings.max_range)
     if settings.robot >= len(recordings):

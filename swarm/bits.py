@@ -11,16 +11,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 _ESCAPE = 15
+_MAX_K = 31
 
 
-def _best_k(u: NDArray[np.uint64]) -> int:
-    middle = int(np.median(u)).bit_length() if len(u) else 0
+def _best_k(u: NDArray[np.uint64], width: int) -> int:
+    """The shorter of the parameters around the median's length; any parameter decodes."""
+    middle = min(int(np.median(u)).bit_length(), _MAX_K) if len(u) else 0
 
     def size(k: int) -> int:
         q = u >> np.uint64(k)
-        return int(np.minimum(q, _ESCAPE).sum()) + len(u) * (1 + k) + int((q >= _ESCAPE).sum()) * 64
+        return int(np.minimum(q, _ESCAPE).sum()) + len(u) * (1 + k) + int((q >= _ESCAPE).sum()) * width * 8
 
-    return min((k for k in (middle - 1, middle, middle + 1) if 0 <= k <= 31), key=size)
+    return min((k for k in (middle - 1, middle, middle + 1) if 0 <= k <= _MAX_K), key=size)
 
 
 def pack(values: NDArray[np.int64], width: int) -> bytes:
@@ -31,7 +33,7 @@ def pack(values: NDArray[np.int64], width: int) -> bytes:
         width: bytes of an escaped value: 2 or 8.
     """
     u = ((values << 1) ^ (values >> 63)).astype(np.uint64)
-    k = _best_k(u)
+    k = _best_k(u, width)
     q = np.minimum(u >> np.uint64(k), _ESCAPE).astype(np.int64)
     zeros = np.cumsum(q + 1) - 1
     unary = np.ones(int(zeros[-1]) + 1 if len(u) else 0, np.uint8)
@@ -48,7 +50,7 @@ def unpack(data: bytes, count: int, width: int) -> tuple[NDArray[np.int64], byte
     Raises:
         ValueError: the data ends too soon.
     """
-    if not data or data[0] > 31:
+    if not data or data[0] > _MAX_K:
         raise ValueError("bits: no parameter")
     k, data = data[0], data[1:]
     longest = (count * (_ESCAPE + 1) + 7) // 8

@@ -7,7 +7,7 @@ cost, whatever the number of robots and the size of the map.
 from __future__ import annotations
 
 from mapping.lattice import Cells, TileKey
-from mapping.tiles import frozen, map_digest
+from mapping.tiles import Tiles, frozen, map_digest, summed
 from swarm.state import Change
 
 
@@ -27,6 +27,10 @@ class Fusion:
             delta = after if before is None else after - before
             total = self.tiles.get(key)
             self.tiles[key] = delta if total is None else frozen(total + delta)
+
+    def rebuild(self, maps: list[Tiles]) -> None:
+        """Sum all sessions anew."""
+        self.tiles = {key: frozen(cells) for key, cells in summed(maps).items()}
 
     def digest(self) -> bytes:
         """The map digest (``mapping.tiles.map_digest``)."""

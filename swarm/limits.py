@@ -21,6 +21,12 @@ MAX_COORDINATE_MM = 1_000_000_000
 MAX_TILE_COORDINATE = 2**26
 """Beyond what 1000 km at 1 mm a cell can reach."""
 
+MAX_NEED = 4096
+"""Tiles asked for by one message."""
+
+MIN_MTU = 64
+"""Payload bytes that a bus must carry at least."""
+
 MAX_PARTS = 65_535
 MAX_PART_BYTES = 16 << 20
 """Bytes of unfinished long messages that a peer keeps."""

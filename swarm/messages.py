@@ -20,6 +20,9 @@ from swarm.session import SessionId
 
 VERSION = 1
 
+REFUSED = 2**32 - 1
+"""In a digest, instead of n: the sender knows the session and will never take it."""
+
 
 class _Int(NamedTuple):
     low: int
@@ -105,7 +108,7 @@ class Digest:
 
     Attributes:
         complete: 1 if it knows no others, 0 if this is an extract.
-        entries: session (8 bytes) and n (uint32) each.
+        entries: session (8 bytes) and n (uint32), or ``REFUSED``, each.
     """
 
     KIND: ClassVar[int] = 3
@@ -191,7 +194,7 @@ class Need:
     session: SessionId = _bytes(8, 8)
     n: int = _int(1, limits.MAX_N)
     since: int = _int(0, limits.MAX_N)
-    entries: bytes = _bytes(_NEED_ENTRY.size, 4096 * _NEED_ENTRY.size, _NEED_ENTRY.size)
+    entries: bytes = _bytes(_NEED_ENTRY.size, limits.MAX_NEED * _NEED_ENTRY.size, _NEED_ENTRY.size)
 
     @staticmethod
     def pack(wanted: Iterable[tuple[TileKey, int]]) -> bytes:
@@ -206,7 +209,7 @@ class Need:
     @staticmethod
     def fitting(mtu: int) -> int:
         """How many entries fit into one payload."""
-        return max(1, (mtu - 32) // _NEED_ENTRY.size)
+        return min(limits.MAX_NEED, max(1, (mtu - 32) // _NEED_ENTRY.size))
 
 
 @dataclass(frozen=True, slots=True)
@@ -263,6 +266,7 @@ _KINDS: dict[int, type[Message]] = {
     kind.KIND: kind for kind in (Session, Update, Digest, Want, Manifest, Need, TilesMessage, Hello, Part)
 }
 _LIMITS = {kind: [each.metadata["limit"] for each in fields(kind)] for kind in _KINDS.values()}
+_MOST_ELEMENTS = 15
 _NAMES = {kind: [each.name for each in fields(kind)] for kind in _KINDS.values()}
 
 
@@ -274,6 +278,25 @@ def encode(message: Message) -> bytes:
     return bytes(msgpack.packb([VERSION, kind.KIND, *values]))
 
 
+def _flat_array(data: bytes) -> list[Any]:
+    """The elements of one msgpack array; inner arrays are refused before they cost anything.
+
+    Raises:
+        Exception: of any kind, if there is anything else than a short flat array.
+    """
+    unpacker = msgpack.Unpacker(
+        raw=True, max_buffer_size=len(data), max_array_len=0, max_map_len=0, max_ext_len=0, max_str_len=0
+    )
+    unpacker.feed(data)
+    count = unpacker.read_array_header()
+    if count > _MOST_ELEMENTS:
+        raise ValueError("message: too many fields")
+    array = [unpacker.unpack() for _ in range(count)]
+    if unpacker.tell() != len(data):
+        raise ValueError("message: something follows it")
+    return array
+
+
 def decode(data: bytes) -> Message:
     """The message of some bytes.
 
@@ -283,12 +306,10 @@ def decode(data: bytes) -> Message:
     if len(data) > limits.MAX_MESSAGE:
         raise Drop("too_long")
     try:
-        array = msgpack.unpackb(
-            data, raw=True, use_list=False, max_array_len=16, max_map_len=0, max_ext_len=0, max_str_len=0
-        )
+        array = _flat_array(data)
     except Exception:  # msgpack raises many kinds on hostile bytes
         raise Drop("not_msgpack") from None
-    if type(array) is not tuple or len(array) < 2:
+    if len(array) < 2:
         raise Drop("bad_shape")
     version, number, *values = array
     if version != VERSION:

@@ -39,7 +39,7 @@ def cut(message: bytes, mtu: int) -> list[bytes]:
 
 
 class Joiner:
-    """Collects parts; gives each whole message once. What is not finished in time makes room for what is newer."""
+    """Collects parts; gives a message when all of its parts are here. The oldest unfinished one makes room."""
 
     def __init__(self) -> None:
         self._unfinished: dict[bytes, dict[int, bytes]] = {}
@@ -51,9 +51,9 @@ class Joiner:
         Raises:
             Drop: ``bad_part``, or what decoding the whole finds.
         """
-        pieces = self._unfinished.setdefault(part.digest, {})
         if part.part >= part.parts:
             raise Drop("bad_part")
+        pieces = self._unfinished.setdefault(part.digest, {})
         if part.part not in pieces:
             pieces[part.part] = part.data
             self._bytes += len(part.data) + _KEEPING

@@ -12,12 +12,14 @@ from collections.abc import Callable, Iterable, Iterator
 from typing import NamedTuple
 
 from mapping.raster import Raster, raster
+from mapping.tiles import Tiles
 from swarm.catch_up import CatchUp
 from swarm.drops import Drop
 from swarm.fusion import Fusion
 from swarm.jitter import Jitter
-from swarm.limits import MAX_SESSIONS
+from swarm.limits import MAX_N, MAX_SESSIONS, MIN_MTU
 from swarm.messages import (
+    REFUSED,
     Digest,
     Hello,
     Manifest,
@@ -68,6 +70,9 @@ class Peer:
         dropped: what was dropped, by reason (``swarm.drops.REASONS``).
         sent_bytes: payload bytes given to the bus, by topic.
         writer: the own session, of a robot.
+
+    Raises:
+        ValueError: the MTU is too small for the protocol.
     """
 
     def __init__(
@@ -82,6 +87,8 @@ class Peer:
         kernel: Raster = raster,
         listener: Listener = lambda descriptor, update: None,
     ) -> None:
+        if mtu < MIN_MTU:
+            raise ValueError(f"mtu: {mtu} bytes, expected at least {MIN_MTU}")
         self.rules = rules
         self.replicas: dict[SessionId, Replica] = {}
         self.refused: dict[SessionId, str] = {}
@@ -122,6 +129,18 @@ class Peer:
         self._say(Session(descriptor.encode()))
         return self.writer
 
+    def correct(self, tiles: Tiles, now: float) -> None:
+        """Replace contents of the own session's tiles by what the robot has learnt since."""
+        assert self.writer is not None
+        self._publish(self.writer.updates(), now)
+        self._publish(self.writer.correct(tiles), now)
+
+    def _publish(self, updates: Iterator[tuple[Update, Change]], now: float) -> None:
+        assert self.writer is not None
+        for update, change in updates:
+            self._applied(self.writer.replica, update, change, now)
+            self._say(update)
+
     # --- presence
 
     def joined(self, peer: str, now: float) -> None:
@@ -152,10 +171,7 @@ class Peer:
         """Everything to be said by now, in order."""
         if self.writer is not None and self.writer.waiting and now >= self._publish_at:
             self._publish_at = now + self._timers.update_period
-            replica = self.writer.replica
-            for update, change in self.writer.updates():
-                self._applied(replica, update, change, now)
-                self._say(update)
+            self._publish(self.writer.updates(), now)
         if self._settled_at is not None and now >= self._settled_at:
             self._settled_at = None
             self._trickle.reset(now)
@@ -192,7 +208,7 @@ class Peer:
             case Need():
                 self._say_all(self._served(message.session).supply(message, self._mtu), sender)
             case Manifest() | TilesMessage():
-                self._fetched(message, now)
+                self._fetched(sender, message, now)
             case Hello():
                 if sender not in self.peers and len(self.peers) >= MAX_SESSIONS:
                     raise Drop("too_many")
@@ -209,14 +225,14 @@ class Peer:
             raise Drop("unknown_session")
         if update.n > replica.state.n + 1:
             self._catch_up(update.session).heard(sender, update.n, replica.state.n, now)
-        self._follow(replica, replica.offer(update), now)
+        self._follow(sender, replica, replica.offer(update), now)
 
     def _digest(self, sender: str, digest: Digest, now: float) -> None:
         """Pursue what the sender has and we lack; be quick to speak if it lacks what we have."""
         positions = digest.positions()
         ahead = behind = False
         for session, n in positions.items():
-            if session in self.refused:
+            if session in self.refused or n > MAX_N:  # one of us will never take it: no news to either
                 continue
             replica = self.replicas.get(session)
             mine = -1 if replica is None else replica.state.n
@@ -253,7 +269,7 @@ class Peer:
         self._news(replica, now)
         self._advanced(replica, now)
 
-    def _fetched(self, message: Manifest | TilesMessage, now: float) -> None:
+    def _fetched(self, sender: str, message: Manifest | TilesMessage, now: float) -> None:
         """An answer to what a catch-up asked for: perhaps the last piece of a later state."""
         replica = self.replicas.get(message.session)
         catch_up = self._catch_ups.get(message.session)
@@ -263,25 +279,28 @@ class Peer:
             state = catch_up.offer(message, replica.state, now)
         except Drop as drop:
             if drop.reason == "bad_root":
-                self._start_over(replica, now)
+                self._start_over(sender, replica, now)
             raise
         if state is not None:
             self._changed(replica, replica.install(state), now)
-            self._follow(replica, replica.drain(), now)
+            self._advanced(replica, now)
+            self._follow(sender, replica, replica.drain(), now)
 
     # --- what changes
 
-    def _follow(self, replica: Replica, updates: Iterator[tuple[Update, Change]], now: float) -> None:
+    def _follow(self, sender: str, replica: Replica, updates: Iterator[tuple[Update, Change]], now: float) -> None:
         """Take in the updates that a copy applies, as far as they are good."""
+        before = replica.state.n
         try:
             for update, change in updates:
                 self._applied(replica, update, change, now)
         except Drop as drop:
             if drop.reason == "bad_check" and not replica.state.sound():
-                self._start_over(replica, now)
+                self._start_over(sender, replica, now)
             raise
         finally:
-            self._advanced(replica, now)
+            if replica.state.n > before:
+                self._advanced(replica, now)
 
     def _applied(self, replica: Replica, update: Update, change: Change, now: float) -> None:
         self._changed(replica, change, now)
@@ -301,11 +320,18 @@ class Peer:
         if catch_up is not None:
             catch_up.advanced(replica.state.n, now)
 
-    def _start_over(self, replica: Replica, now: float) -> None:
-        """A copy proved wrong: back to the empty state, keeping what is sound of it to spare the wire."""
-        self._catch_up(replica.descriptor.session).keep(replica.state.sound_tiles())
-        self._changed(replica, replica.restart(), now)
-        self._catch_up(replica.descriptor.session).advanced(0, now)
+    def _start_over(self, sender: str, replica: Replica, now: float) -> None:
+        """A copy proved wrong: back to the empty state, keeping what is sound of it to spare the wire.
+
+        The sum is made anew, for nobody knows what of the wrong copy went into it.
+        """
+        catch_up = self._catch_up(replica.descriptor.session)
+        catch_up.keep(replica.state.sound_tiles())
+        catch_up.heard(sender, replica.state.n, 0, now)
+        replica.restart()
+        catch_up.advanced(0, now)
+        self.fusion.rebuild([each.state.cells for each in self.replicas.values() if each.descriptor.start is not None])
+        self._news(replica, now)
 
     # --- look-ups
 
@@ -337,7 +363,8 @@ class Peer:
 
     def _digest_now(self) -> Digest:
         """What we hold; of more sessions than fit into one payload the next ones in turn."""
-        positions = [(session, self.replicas[session].state.n) for session in sorted(self.replicas)]
+        held = {session: replica.state.n for session, replica in self.replicas.items()}
+        positions = sorted((held | dict.fromkeys(self.refused, REFUSED)).items())
         size = Digest.fitting(self._mtu)
         if len(positions) <= size:
             return Digest.of(positions, complete=True)

@@ -124,13 +124,11 @@ class Replica:
             self._pending_bytes -= len(self._pending.pop(n).payload)
         return _difference(before.cells, state.cells)
 
-    def restart(self) -> Change:
+    def restart(self) -> None:
         """Go back to the empty state, a true past one, because this copy proved wrong."""
         self._pending.clear()
         self._pending_bytes = 0
-        before = self.state.cells
         self.install(State())
-        return {key: (cells, cells - cells) for key, cells in before.items()}
 
     # --- serving others
 

@@ -131,12 +131,17 @@ def changed_tiles(state: State, update: Update, descriptor: Descriptor, kernel: 
     """The tiles that an update leaves behind, whatever form it has.
 
     Raises:
-        Drop: ``bad_payload``.
+        Drop: ``bad_payload``, ``too_many``.
     """
+    if update.trail:
+        decode_scans(update.trail, 0, 0)  # nobody who reads it later shall be surprised
     if update.form == Update.TILES:
         return decode_tiles(update.payload)
     if update.form == Update.CELLS:
         return decode_changes(update.payload, state.cells)
     sensor, rules = descriptor.sensor, descriptor.rules
     scans = decode_scans(update.payload, len(sensor.beams), sensor.max_range_mm)
-    return integrated(state.cells, scans, sensor, rules.model, rules.lattice, kernel)
+    try:
+        return integrated(state.cells, scans, sensor, rules.model, rules.lattice, kernel)
+    except ValueError:  # they touch more tiles than there may be
+        raise Drop("too_many") from None

@@ -16,7 +16,7 @@ import numpy as np
 from mapping.lattice import TILE, Cells, TileKey
 from mapping.tiles import Tiles, frozen
 from swarm.drops import Drop
-from swarm.limits import MAX_TILE_COORDINATE
+from swarm.limits import MAX_TILE_COORDINATE, MAX_TILES
 
 _ENTRY = struct.Struct("<iiH")
 _TILE_BYTES = TILE * TILE * 4
@@ -47,7 +47,7 @@ def decode_tiles(block: bytes) -> dict[TileKey, Cells]:
     """The tiles of a block of entries, read-only.
 
     Raises:
-        Drop: ``bad_payload``.
+        Drop: ``bad_payload``, ``too_many``.
     """
     tiles = {}
     for key, content in _entries(block, _TILE_BYTES):
@@ -62,7 +62,7 @@ def decode_changes(block: bytes, before: Tiles) -> dict[TileKey, Cells]:
     """The tiles after the changes of a block of entries, read-only.
 
     Raises:
-        Drop: ``bad_payload``.
+        Drop: ``bad_payload``, ``too_many``.
     """
     tiles = {}
     for key, content in _entries(block, _MAX_CHANGE_BYTES):
@@ -80,8 +80,11 @@ def decode_changes(block: bytes, before: Tiles) -> dict[TileKey, Cells]:
 
 def _entries(block: bytes, most: int) -> Iterator[tuple[TileKey, bytes]]:
     """Keys and inflated contents; never inflates more than ``most`` bytes a tile."""
-    position = 0
+    position = count = 0
     while position < len(block):
+        count += 1
+        if count > MAX_TILES:
+            raise Drop("too_many")
         if len(block) - position < _ENTRY.size:
             raise Drop("bad_payload")
         ty, tx, length = _ENTRY.unpack_from(block, position)

@@ -16,8 +16,8 @@ from mapping.integrate import integrated
 from mapping.lattice import Cells, TileKey
 from mapping.raster import Raster
 from mapping.scan import Scans
-from swarm.limits import MAX_SCANS
-from swarm.messages import Update
+from swarm.limits import MAX_N, MAX_SCANS
+from swarm.messages import Update, encode
 from swarm.replica import Replica
 from swarm.scan_block import encode_scans
 from swarm.state import Change
@@ -26,8 +26,11 @@ from swarm.tile_block import encode_changes, encode_tile
 Publish = Literal["auto", "scans", "tiles"]
 """How scans are published: as themselves (``auto`` too: nothing is cheaper), or as the whole tiles they change."""
 
-_OVERHEAD = 64
-"""The most bytes that an update needs besides its payload and trail."""
+
+def _overhead(mtu: int) -> int:
+    """The most bytes that an update no longer than this needs besides its payload and trail."""
+    content = bytes(mtu)
+    return len(encode(Update(content[:8], MAX_N, Update.TILES, content, content, 2**64 - 1))) - 2 * mtu
 
 
 class Writer:
@@ -40,7 +43,7 @@ class Writer:
     def __init__(self, replica: Replica, kernel: Raster, *, mtu: int, publish: Publish = "auto") -> None:
         self.replica = replica
         self._kernel = kernel
-        self._room = max(1, mtu - _OVERHEAD)
+        self._room = max(1, mtu - _overhead(mtu))
         self._as_tiles = publish == "tiles"
         self._sensed: list[Scans] = []
         self._ahead: dict[TileKey, Cells] = {}  # tiles whose newest content is not published yet

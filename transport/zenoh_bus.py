@@ -10,6 +10,7 @@ Keys: ``orion/<swarm>/<peer>/<topic>`` to all, ``orion/<swarm>/<peer>/to/<other>
 
 from __future__ import annotations
 
+import contextlib
 import json
 import threading
 import weakref
@@ -156,7 +157,8 @@ def _reason(error: zenoh.ZError) -> str:
 
 def _shut(session: zenoh.Session, pumps: Sequence[threading.Thread]) -> None:
     """Close the session and see the pumps out: no thread may be left to wake up in a dying interpreter."""
-    session.close()  # type: ignore[no-untyped-call]
+    with contextlib.suppress(zenoh.ZError):  # it gives up after 10 s on a neighbour that accepts and never answers
+        session.close()  # type: ignore[no-untyped-call]
     for pump in pumps:
         if pump is not threading.current_thread():  # the garbage collector may call from anywhere
             pump.join(timeout=1.0)

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from agent.carmen import read
 from agent.errors import UserError
-from agent.recording import RecordedBody
+from agent.playback import RecordedBody
 from mapping.pose import QuantisedPose
 
 HEADER = (

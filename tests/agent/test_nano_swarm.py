@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 
 from agent.errors import UserError
 from agent.nano_swarm import FRAMES, drone, read
-from agent.recording import RecordedBody, Recording
+from agent.playback import RecordedBody
+from agent.recording import Recording
 from mapping.pose import QuantisedPose
 
 Offsets = tuple[float, float, float]

@@ -8,7 +8,7 @@ from typing import Any, cast
 
 import pytest
 
-from agent.fleet import Member
+from agent.member import Member
 from agent.progress import Bars, Silence, progress
 
 

@@ -138,7 +138,7 @@ def kernel(request: pytest.FixtureRequest) -> Callable:
 @pytest.fixture(scope="session")
 def recorded(recordings_dir: Path) -> Callable:
     """The quantised scans of each robot of a recording, and their sensor."""
-    from agent.recording import RecordedBody, read
+    from agent.playback import RecordedBody, read
     from mapping.pose import QuantisedPose
     from mapping.scan import Scans
 

@@ -23,7 +23,8 @@ import pytest
 import tomli_w
 
 from agent.map_files import load_map
-from agent.recording import RecordedBody, Recording
+from agent.playback import RecordedBody
+from agent.recording import Recording
 from agent.world import World
 from mapping.evidence import EvidenceModel
 from mapping.grid import Grid

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from agent.map_files import load_map, load_walls
-from agent.recording import read
+from agent.playback import read
 from mapping.pose import Pose
 from mapping.score import Score, score
 

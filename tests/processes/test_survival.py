@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from agent.recording import read
+from agent.playback import read
 
 pytestmark = pytest.mark.processes
 

@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 
 from agent.body import BATCH, Body
 from agent.errors import UserError
-from agent.recording import RecordedBody, Recording, read, split
+from agent.playback import RecordedBody, read, split
+from agent.recording import Recording
 from mapping.pose import Pose, QuantisedPose
 from mapping.scan import INVALID, NO_RETURN, Scans
 from mapping.sensor import laser
