@@ -13,6 +13,7 @@ from agent.links import open_bus
 from agent.node import SOFTWARE, Node
 from mapping.pose import QuantisedPose
 from swarm.messages import Hello
+from swarm.writer import MapFullError
 
 
 def run_robot(config: Config, robot: str, control: Control) -> dict[str, Any]:
@@ -37,7 +38,10 @@ def run_robot(config: Config, robot: str, control: Control) -> dict[str, Any]:
         node = Node(bus, config.rules(), hello, body=body, speed=speed)
         descriptor = node.open_session(robot, start, settings.publish or config.publish)
         control.tell("ready")
-        node.run(control)
+        try:
+            node.run(control)
+        except MapFullError as error:
+            raise UserError(f"robots.{robot}", str(error), "use larger cells") from None
         own = node.peer.replicas[descriptor.session].state
         return {
             "id": robot,

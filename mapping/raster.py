@@ -53,8 +53,11 @@ def in_chunks(rays: Rays, model: EvidenceModel, raster_chunk: Raster) -> Evidenc
     for chunk in split(rays):
         parts.append(raster_chunk(chunk, model))
         touched += len(parts[-1].keys)
-        if touched > MAX_TILES:
-            raise ValueError(f"rays: {len(rays)} of them touch more than {MAX_TILES} tiles")
+        if touched > MAX_TILES:  # of one chunk or another: how many are there really?
+            parts = [merged(parts)]
+            touched = len(parts[0].keys)
+            if touched > MAX_TILES:
+                raise ValueError(f"rays: {len(rays)} of them touch more than {MAX_TILES} tiles")
     return merged(parts)
 
 

@@ -15,6 +15,10 @@ MAX_N = 2**31 - 1
 MAX_SCANS = 4096
 """Scans in one update."""
 
+MAX_VISITS = 2**22
+"""Cells that the rays of one update's scans may visit, reckoned with all rays at full length. One scan is always
+allowed. Without it a few bytes would cost every peer seconds."""
+
 MAX_COORDINATE_MM = 1_000_000_000
 """A pose lies within 1000 km of the origin."""
 

@@ -18,7 +18,7 @@ from mapping.lattice import Lattice
 from mapping.pose import QuantisedPose
 from mapping.sensor import Beam, Sensor
 from swarm.drops import Drop
-from swarm.limits import MAX_COORDINATE_MM
+from swarm.limits import MAX_COORDINATE_MM, MAX_SCANS, MAX_VISITS
 
 SessionId = bytes
 """8 random bytes. Printed as 16 hex digits; sessions sort by it."""
@@ -65,6 +65,12 @@ class Descriptor:
         if len(self.session) != 8:
             raise ValueError(f"session id: expected 8 bytes, got {len(self.session)}")
         self.rules.lattice.check_range(self.sensor.max_range_mm)
+
+    @property
+    def most_scans(self) -> int:
+        """How many scans one update may carry: few, if they have many long rays."""
+        longest = self.sensor.max_range_mm // self.rules.lattice.cell_mm + 2
+        return max(1, min(MAX_SCANS, MAX_VISITS // (len(self.sensor.beams) * longest)))
 
     def encode(self) -> bytes:
         """The descriptor's bytes, by which it is compared and forwarded unchanged."""

@@ -141,6 +141,8 @@ def changed_tiles(state: State, update: Update, descriptor: Descriptor, kernel: 
         return decode_changes(update.payload, state.cells)
     sensor, rules = descriptor.sensor, descriptor.rules
     scans = decode_scans(update.payload, len(sensor.beams), sensor.max_range_mm)
+    if len(scans) > descriptor.most_scans:
+        raise Drop("too_many")
     try:
         return integrated(state.cells, scans, sensor, rules.model, rules.lattice, kernel)
     except ValueError:  # they touch more tiles than there may be

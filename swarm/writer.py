@@ -16,7 +16,8 @@ from mapping.integrate import integrated
 from mapping.lattice import Cells, TileKey
 from mapping.raster import Raster
 from mapping.scan import Scans
-from swarm.limits import MAX_N, MAX_SCANS
+from swarm.drops import Drop
+from swarm.limits import MAX_N, MAX_SCANS, MAX_TILES
 from swarm.messages import Update, encode
 from swarm.replica import Replica
 from swarm.scan_block import encode_scans
@@ -31,6 +32,10 @@ def _overhead(mtu: int) -> int:
     """The most bytes that an update no longer than this needs besides its payload and trail."""
     content = bytes(mtu)
     return len(encode(Update(content[:8], MAX_N, Update.TILES, content, content, 2**64 - 1))) - 2 * mtu
+
+
+class MapFullError(Exception):
+    """A session has all the tiles that it may have."""
 
 
 class Writer:
@@ -59,19 +64,23 @@ class Writer:
             self._sensed.append(scans)
 
     def updates(self) -> Iterator[tuple[Update, Change]]:
-        """Publish all that was sensed: each update is applied to the own replica as it is given."""
+        """Publish all that was sensed: each update is applied to the own replica as it is given.
+
+        Raises:
+            MapFullError: the session would hold more tiles than it may.
+        """
         if not self._sensed:
             return
         scans = Scans.join(self._sensed)
         self._sensed.clear()
-        if self._as_tiles:
-            yield from self._tile_updates(scans)
-        else:
-            yield from self._scan_updates(scans)
+        try:
+            yield from self._tile_updates(scans) if self._as_tiles else self._scan_updates(scans)
+        except (Drop, ValueError):  # what everybody else would drop, we do not publish
+            raise MapFullError(f"the map of robot {self.replica.descriptor.robot} is full: {MAX_TILES} tiles") from None
 
     def _scan_updates(self, scans: Scans) -> Iterator[tuple[Update, Change]]:
         while len(scans):
-            count, block = self._fitting(scans)
+            count, block = self._fitting(scans[: self.replica.descriptor.most_scans])
             changed = self._touched(self.replica.state.cells, scans[:count])
             yield self.replica.write(Update.SCANS, block, changed)
             scans = scans[count:]

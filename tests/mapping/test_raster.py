@@ -274,3 +274,12 @@ def test_scans_that_touch_too_many_tiles_are_refused_before_they_cost_memory(ker
     kernel(rays_between(*[((k * 1000, 0), (k * 1000, 1), True) for k in range(99)]), MODEL)
     with pytest.raises(ValueError, match="touch more than 99 tiles"):
         kernel(rays_between(*[((k * 1000, 0), (k * 1000, 1), True) for k in range(100)]), MODEL)
+
+
+def test_tiles_that_several_chunks_touch_count_once(kernel, monkeypatch, law):
+    """Whether an update is refused must not depend on how a kernel cuts it."""
+    monkeypatch.setattr(module, "MAX_TILES", 3)
+    monkeypatch.setattr(module, "_CHUNK_CELLS", 10)
+    rays = [((0, 0), (40, 40), True)] * 20
+    evidence = kernel(rays_between(*rays), MODEL)
+    assert law.known(evidence) == law.evidence(rays, MODEL.occupied, MODEL.free)

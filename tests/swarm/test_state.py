@@ -11,7 +11,7 @@ from mapping.evidence import EvidenceModel
 from mapping.lattice import Lattice, TileKey
 from mapping.raster import raster
 from mapping.scan import Scans
-from mapping.sensor import orion
+from mapping.sensor import laser, orion
 from mapping.tiles import frozen
 from swarm import state as state_module
 from swarm.drops import Drop
@@ -158,3 +158,22 @@ def test_a_trail_that_does_not_decode_drops_the_update():
     assert changed_tiles(State(), update(Update.TILES, b"", trail), DESCRIPTOR, raster) == {}
     with pytest.raises(Drop, match="content"):
         changed_tiles(State(), update(Update.TILES, b"", trail + b"x"), DESCRIPTOR, raster)
+
+
+def test_an_update_whose_rays_would_visit_too_many_cells_is_dropped_before_it_costs_time():
+    """Two kilobytes of scans that each cross kilometres of small cells: dropped by counting, not by trying."""
+    rules = Rules(Lattice(1), EvidenceModel())
+    descriptor = Descriptor("r1", b"session1", rules, laser(64, first=0.0, step=0.1, max_range=4.0), None)
+    assert descriptor.most_scans == 2**22 // (64 * 4002) == 16
+
+    def update(count):
+        scans = Scans(np.arange(count), np.zeros((count, 3), np.int32), np.full((count, 64), 65535, np.uint16))
+        return Update(b"session1", 1, Update.SCANS, encode_scans(scans), b"", 0)
+
+    def never(rays, model):
+        raise AssertionError("the kernel was called")
+
+    with pytest.raises(Drop, match="limit") as caught:
+        changed_tiles(State(), update(17), descriptor, never)
+    assert caught.value.reason == "too_many"
+    assert changed_tiles(State(), update(16), descriptor, raster)

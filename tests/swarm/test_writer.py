@@ -17,7 +17,7 @@ from swarm.replica import Replica
 from swarm.scan_block import decode_scans
 from swarm.session import Descriptor, Rules
 from swarm.tile_block import decode_tiles
-from swarm.writer import Writer
+from swarm.writer import MapFullError, Writer
 
 ORION = orion()
 LASER = laser(40, first=-1.0, step=0.05, max_range=4.0)
@@ -184,3 +184,30 @@ def test_several_tiles_and_their_trail_fit_the_mtu_together():
         writer.sense(some_scans(seed, 10))
         for update in publish(writer, copy):
             assert len(encode(update)) <= 1500 or len(decode_tiles(update.payload)) == 1
+
+
+def test_scans_with_many_long_rays_are_published_few_at_a_time(monkeypatch):
+    """What everybody would drop for its cost is not published in the first place."""
+    monkeypatch.setattr("swarm.session.MAX_VISITS", 10_000)
+    writer, copy = pair(sensor=LASER)
+    most = copy.descriptor.most_scans
+    assert most == 10_000 // (40 * (4000 // 50 + 2)) == 3
+    scans = some_scans(1, 10, LASER)
+    writer.sense(scans)
+    updates = publish(writer, copy)
+    counts = [len(decode_scans(update.payload, 40, 4000)) for update in updates]
+    assert counts == [3, 3, 3, 1]
+    assert map_digest(copy.state.cells) == truth(scans, writer)
+
+
+@pytest.mark.parametrize("form", ["scans", "tiles"])
+def test_a_map_that_is_full_is_told_and_nothing_more_is_published(monkeypatch, form):
+    writer, copy = pair(form)
+    writer.sense(some_scans(1, 5))
+    publish(writer, copy)
+    monkeypatch.setattr("swarm.state.MAX_TILES", len(copy.state.cells))
+    far = some_scans(2, 5)
+    writer.sense(Scans(far.stamps_ms, far.poses + np.array([90_000, 0, 0], np.int32), far.ranges))
+    with pytest.raises(MapFullError, match="robot r1 is full"):
+        publish(writer, copy)
+    assert writer.replica.state.n == copy.state.n
