@@ -178,7 +178,8 @@ class Fleet:
 
     def summary(self, *, settled: bool, seconds: float) -> dict[str, Any]:
         """The run's result as ``--json`` prints it; a process that died is listed with what is known of it."""
-        observer = self.members[OBSERVER].report or {}
+        last = self.members.get(OBSERVER)  # not even started, in a run that was interrupted at once
+        observer = (last and last.report) or {}
         files = observer.pop("files", {})
         robots = []
         for member in self._robots():

@@ -265,3 +265,10 @@ def test_what_the_observer_cannot_do_at_the_end_is_said_in_its_words(cast) -> No
 
     with pytest.raises(UserError, match=r"out/map\.npz: cannot be written: No space left"):
         cast(observer={"finish": disk_full})
+
+
+def test_a_run_that_is_interrupted_before_everybody_has_started_still_has_a_summary(tmp_path: Path) -> None:
+    """Ctrl-C came between the first process and the last: that ended in a KeyError."""
+    fleet = Fleet(resolve({"robots": {"r1": {}}}), tmp_path)
+    summary = fleet.summary(settled=False, seconds=0.1)
+    assert (summary["converged"], summary["robots"], summary["observer"]) == (False, [], {})
