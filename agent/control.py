@@ -29,6 +29,8 @@ class Control:
         self.go = True
         self.stop = False
         self._compilation = compilation
+        self._said: set[str] = set()
+        self._around = 0
 
     @property
     def kernel(self) -> bool:
@@ -36,7 +38,20 @@ class Control:
         return self._compilation is not None and self._compilation.ready
 
     def tell(self, event: str, **facts: Any) -> None:
-        """Report to whoever listens; in a terminal nobody does."""
+        """Report: to a person, in lines on stderr, what is new and matters to one."""
+        lines = []
+        if event == "ready":
+            lines = [f"{facts['name']} is ready; Ctrl-C ends it"]
+        elif event == "status":
+            lines = [f"refused {reason}" for reason in facts["refused"]]
+            lines += [f"{robot} has no start pose: its map is kept apart" for robot in facts["not_placed"]]
+            lines = [line for line in lines if line not in self._said]
+            self._said.update(lines)
+            if facts["around"] != self._around:
+                self._around = facts["around"]
+                lines.append(f"{self._around} other peers")
+        for line in lines:
+            sys.stderr.write(f"orion: {line}\n")
 
     def obey_signals(self) -> None:
         """Ctrl-C and a service manager's stop end the process cleanly; a second Ctrl-C ends it at once."""

@@ -154,6 +154,9 @@ class Node:
             "done": self._body.done and not (writer is not None and writer.waiting),
             "positions": {session.hex(): replica.state.n for session, replica in self.peer.replicas.items()},
             "refused": sorted(self.peer.refused.values()),
+            "not_placed": sorted(
+                replica.descriptor.robot for replica in self.peer.replicas.values() if replica.descriptor.start is None
+            ),
         }
         if status != self._told:
             self._told, self._told_at = status, now

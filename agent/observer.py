@@ -62,7 +62,7 @@ def run_observer(config: Config, out: Path | None, control: Control) -> dict[str
     trails = Trails()
     with open_bus(config, "observer", None) as bus:
         node = Node(bus, config.rules(), Hello(Hello.OBSERVER, b"observer", SOFTWARE), listener=trails)
-        control.tell("ready")
+        control.tell("ready", name="the observer")
         node.run(control)
         grid = Grid.of(node.peer.fusion.tiles, config.rules().lattice)
         # before the bus is left: a mute peer may hold that up for seconds

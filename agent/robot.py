@@ -37,7 +37,7 @@ def run_robot(config: Config, robot: str, control: Control) -> dict[str, Any]:
     with open_bus(config, robot, config.roster.index(robot)) as bus:
         node = Node(bus, config.rules(), hello, body=body, speed=speed)
         descriptor = node.open_session(robot, start, settings.publish or config.publish)
-        control.tell("ready")
+        control.tell("ready", name=robot)
         try:
             node.run(control)
         except MapFullError as error:

@@ -42,11 +42,30 @@ def starter(monkeypatch: pytest.MonkeyPatch) -> Iterator[io.TextIOBase]:
 # In a terminal
 
 
-def test_a_process_in_a_terminal_goes_at_once_and_says_nothing(capsys: pytest.CaptureFixture[str]) -> None:
+def status(*, around: int = 0, refused: tuple[str, ...] = (), not_placed: tuple[str, ...] = ()) -> dict[str, object]:
+    return {"around": around, "refused": list(refused), "not_placed": list(not_placed), "done": True, "positions": {}}
+
+
+def test_a_process_in_a_terminal_goes_at_once_and_tells_a_person_what_is_new(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     control = Control()
     assert (control.go, control.stop, control.kernel) == (True, False, False)
-    control.tell("status", around=3)
-    assert capsys.readouterr() == ("", "")
+    control.tell("ready", name="r1")
+    control.tell("status", **status())
+    control.tell("status", **status(around=1))
+    control.tell("status", **status(around=1, refused=("r2: cell size 0.05 m, ours is 0.02 m",)))
+    control.tell("status", **status(around=2, refused=("r2: cell size 0.05 m, ours is 0.02 m",), not_placed=("r3",)))
+    control.tell("report", map_digest="00")
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.splitlines() == [
+        "orion: r1 is ready; Ctrl-C ends it",
+        "orion: 1 other peers",
+        "orion: refused r2: cell size 0.05 m, ours is 0.02 m",
+        "orion: r3 has no start pose: its map is kept apart",
+        "orion: 2 other peers",
+    ]
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

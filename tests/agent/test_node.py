@@ -230,7 +230,7 @@ def test_statuses_tell_who_is_around_how_far_it_is_and_what_it_knows(time) -> No
     node.run(control)
     (session,) = node.peer.replicas
     first, last = control.told[0], control.told[-1]
-    assert first.keys() == last.keys() == {"around", "progress", "done", "positions", "refused"}
+    assert first.keys() == last.keys() == {"around", "progress", "done", "positions", "refused", "not_placed"}
     assert (first["done"], last["done"]) == (False, True)
     assert last["around"] == 1
     assert tuple(last["progress"]) == (20, 20)
