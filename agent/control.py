@@ -49,7 +49,7 @@ class Control:
             self._said.update(lines)
             if facts["around"] != self._around:
                 self._around = facts["around"]
-                lines.append(f"{self._around} other peers")
+                lines.append(f"{self._around} other peer" + "s" * (self._around != 1))
         for line in lines:
             sys.stderr.write(f"orion: {line}\n")
 

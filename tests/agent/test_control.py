@@ -61,7 +61,7 @@ def test_a_process_in_a_terminal_goes_at_once_and_tells_a_person_what_is_new(
     assert out == ""
     assert err.splitlines() == [
         "orion: r1 is ready; Ctrl-C ends it",
-        "orion: 1 other peers",
+        "orion: 1 other peer",
         "orion: refused r2: cell size 0.05 m, ours is 0.02 m",
         "orion: r3 has no start pose: its map is kept apart",
         "orion: 2 other peers",
