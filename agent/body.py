@@ -16,15 +16,20 @@ class Body(Protocol):
 
     Attributes:
         sensor: what its scans' ranges mean.
+        patience: seconds that whoever reads it may sleep at most.
+        status: what is wrong with it, in words; empty if nothing is.
     """
 
     sensor: Sensor
+    patience: float
+    status: str
 
     def read(self, until: float) -> Scans:
         """The next scans (at most ``BATCH``) sensed before ``until``, quantised, poses in the common frame.
 
         Args:
-            until: seconds of the body's own time since it started; infinity reads as fast as possible.
+            until: seconds of the body's own time since it started, 0 before it may; infinity reads as fast as
+                possible. A real robot has its own time and does not look at it.
         """
         ...
 
@@ -36,4 +41,8 @@ class Body(Protocol):
     @property
     def done(self) -> bool:
         """Whether there is nothing more to come."""
+        ...
+
+    def close(self) -> None:
+        """Leave the body as it is safe to be left: its wheels still."""
         ...

@@ -47,7 +47,9 @@ def demo(
     ] = None,
     cell: Cell = None,
     speed: SpeedOption = "10",
-    world: Annotated[str, typer.Option(metavar="NAME|FILE", help="paper, rooms, or a YAML of walls.")] = "paper",
+    world: Annotated[
+        str, typer.Option(metavar="NAME|FILE", help="paper, rooms, office, or a YAML of walls.")
+    ] = "paper",
     seed: Annotated[int, typer.Option(min=0, help="Decides the sensors' noise.")] = 1,
     publish: PublishOption = None,
     transport: Transport = None,
@@ -63,7 +65,7 @@ def demo(
     options = _swarm_options(cell, publish, transport, radio, base_port)
     base = load(config, options)
     resolved = demo_config(base, world=world, robots=robots, speed=_speed(speed), seed=seed)
-    raise typer.Exit(0 if launch(resolved, out, as_json=as_json) else 1)
+    raise typer.Exit(0 if launch(resolved, out, simulated=True, as_json=as_json) else 1)
 
 
 @app.command(
@@ -97,7 +99,7 @@ def replay(
     options = _swarm_options(cell, publish, transport, radio, base_port)
     base = load(config, options)
     resolved = replay_config(base, recordings, robots=robots, poses=poses, max_range=max_range, speed=_speed(speed))
-    raise typer.Exit(0 if launch(resolved, out, as_json=as_json) else 1)
+    raise typer.Exit(0 if launch(resolved, out, simulated=False, as_json=as_json) else 1)
 
 
 @app.command(epilog="Example: orion agent -c lab.toml --robot r1")
@@ -118,6 +120,9 @@ def agent(
 def observe(
     config: ConfigFile = None,
     out: Annotated[Path | None, typer.Option(metavar="DIR", help="Where the map is written at the end.")] = None,
+    scans: Annotated[
+        Path | None, typer.Option(metavar="FILE.npz", help="Where the scans that came by are written at the end.")
+    ] = None,
     as_json: AsJson = False,
     supervised: SupervisedOption = False,
 ) -> None:
@@ -128,9 +133,51 @@ def observe(
 
     def work(control: Any) -> dict[str, Any]:
         swarm = load(config, {})
-        return run_observer(swarm, None if out is None else prepare_folder(out), control)
+        return run_observer(swarm, None if out is None else prepare_folder(out), control, scans)
 
     _work(work, as_json=as_json, supervised=supervised)
+
+
+@app.command(epilog="Example: orion simulate -c lab.toml, and in other terminals orion agent -c lab.toml --robot r1")
+def simulate(
+    config: Annotated[Path, typer.Option("-c", "--config", metavar="FILE", help="The swarm's TOML.")],
+    truth: Annotated[
+        Path | None, typer.Option(metavar="FILE.npz", help="Where the robots' true ways are written at the end.")
+    ] = None,
+    as_json: AsJson = False,
+    supervised: SupervisedOption = False,
+) -> None:
+    """The world and the bodies of all robots, each behind a serial port r1.tty beside the TOML. Runs until Ctrl-C."""
+    from agent.config import load
+    from agent.emulator import run_simulation
+
+    _work(
+        lambda control: run_simulation(load(config, {}), config.absolute().parent, control, truth),
+        as_json=as_json,
+        supervised=supervised,
+    )
+
+
+@app.command(epilog="Example: orion paper --out report/")
+def paper(
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Where figures, tables and runs go.")] = Path("paper"),
+    seed: Annotated[int, typer.Option(min=0, help="Decides the sensors' noise.")] = 1,
+    base_port: BasePort = None,
+    quick: Annotated[
+        bool, typer.Option("--quick", help="Default odometry only: all figures, a shorter table.")
+    ] = False,
+    as_json: AsJson = False,
+) -> None:
+    """Do the paper's experiments again: its figures, and a table of its pipeline beside ours."""
+    from agent.config import load
+    from agent.paper_report import report
+
+    def say(line: str) -> None:
+        if sys.stderr.isatty():
+            typer.echo(line, err=True)
+
+    found = report(load(None, {"base_port": base_port}), out, seed, say, quick=quick)
+    typer.echo(json.dumps(found) if as_json else f"{found['table']}\ntable and figures: {found['folder']}")
 
 
 def _work(work: Any, *, as_json: bool, supervised: bool) -> None:

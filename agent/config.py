@@ -11,7 +11,7 @@ import math
 import os
 import re
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -20,6 +20,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 
 from agent.errors import UserError
 from agent.files import read_bytes
+from agent.senses import NO_NOISE, ORION_NOISE, Noise
 from mapping.evidence import EvidenceModel, to_units
 from mapping.lattice import Lattice
 from mapping.pose import Pose, QuantisedPose
@@ -30,6 +31,7 @@ from transport.bus import is_name
 Speed = Annotated[float, Field(gt=0, allow_inf_nan=False)] | Literal["max"]
 Publish = Literal["auto", "scans", "tiles"]
 _Degrees = Annotated[float, Field(ge=-36_000, le=36_000)]
+_Metres = Annotated[float, Field(ge=-1e6, le=1e6)]
 _Range = Annotated[float, Field(gt=0, le=MAX_RANGE_LIMIT_MM / 1000)]
 
 _ENVIRONMENT = ("swarm", "cell", "transport", "base_port", "radio", "publish")
@@ -55,14 +57,15 @@ class Start(_Table):
         return QuantisedPose.of(Pose(self.x, self.y, math.radians(self.yaw_deg)))
 
 
-class SimulatedBody(_Table):
-    """A body in a simulated world, which starts where the world says."""
+class SerialBody(_Table):
+    """A robot behind a serial port: a real one, or one of ``orion simulate``."""
 
-    kind: Literal["simulated"]
-    world: str = "paper"
-    index: int | None = Field(None, ge=0, description="which of the world's starts; by default the roster's index")
-    seed: int = Field(1, ge=0)
-    speed: Speed = 1.0
+    kind: Literal["serial"]
+    port: str = Field(min_length=1, description="a device, a pseudo-terminal, or a URL as pyserial takes it")
+    baudrate: int = Field(115_200, ge=300, le=4_000_000)
+    max_range: _Range = ORION_RANGE
+    drive: bool = Field(True, description="whether the agent drives; without waypoints to the nearest frontier")
+    waypoints: list[tuple[_Metres, _Metres]] = Field(default_factory=list, description="x, y in the common frame")
 
 
 class RecordedBody(_Table):
@@ -107,7 +110,7 @@ class Robot(_Table):
     host: Annotated[str, AfterValidator(_host)] = "127.0.0.1"
     start: Start | None = None
     publish: Publish | None = None
-    body: Annotated[SimulatedBody | RecordedBody, Field(discriminator="kind")] = SimulatedBody(kind="simulated")
+    body: Annotated[SerialBody | RecordedBody, Field(discriminator="kind")] | None = None
 
 
 class Evidence(_Table):
@@ -168,6 +171,42 @@ class BeamsSensor(_Table):
         return sensor([(beam.x, beam.y, math.radians(beam.bearing_deg)) for beam in self.beams], self.max_range)
 
 
+class SimulatedNoise(_Table):
+    """What is wrong with simulated senses and wheels; see ``agent.senses.Noise``. Metres, seconds and degrees."""
+
+    range_floor: float = Field(ORION_NOISE.range_floor, ge=0)
+    range_share: float = Field(ORION_NOISE.range_share, ge=0)
+    range_minimum: float = Field(ORION_NOISE.range_minimum, ge=0)
+    dropout: float = Field(ORION_NOISE.dropout, ge=0, le=1)
+    heading_deg: float = Field(0.2, ge=0)
+    heading_drift_deg: float = Field(0.3, ge=0)
+    heading_drift_time: float = Field(ORION_NOISE.heading_drift_time, gt=0)
+    slip: float = Field(ORION_NOISE.slip, ge=0, lt=1)
+    slip_walk: float = Field(ORION_NOISE.slip_walk, ge=0)
+
+    def build(self) -> Noise:
+        """The noise."""
+        return Noise(
+            heading=math.radians(self.heading_deg),
+            heading_drift=math.radians(self.heading_drift_deg),
+            **self.model_dump(exclude={"heading_deg", "heading_drift_deg"}),
+        )
+
+
+class Simulation(_Table):
+    """The world that ``orion simulate`` is."""
+
+    world: str = "paper"
+    seed: int = Field(1, ge=0)
+    speed: Speed = 1.0
+    ideal: bool = False
+    noise: SimulatedNoise = SimulatedNoise()
+
+    def build_noise(self) -> Noise:
+        """The noise, or none."""
+        return NO_NOISE if self.ideal else self.noise.build()
+
+
 class Config(_Table):
     """The whole swarm."""
 
@@ -179,6 +218,7 @@ class Config(_Table):
     publish: Publish = "auto"
     evidence: Evidence = Evidence()
     sensor: Annotated[OrionSensor | LaserSensor | BeamsSensor, Field(discriminator="kind")] = OrionSensor()
+    simulation: Simulation = Simulation()
     robots: dict[RobotId, Robot] = Field(default_factory=dict)
 
     @model_validator(mode="after")
@@ -258,16 +298,25 @@ def resolve(table: Mapping[str, Any], source: Any = lambda key: "configuration")
         raise _complaint(error, source) from None
 
 
+_PATHS: dict[str, Callable[[str], bool]] = {
+    "path": lambda value: True,
+    "world": lambda value: "/" in value or value.endswith((".yaml", ".yml")),  # else one that is packaged
+    "port": lambda value: bool(value) and "://" not in value,  # else a URL, or nothing
+}
+
+
 def _anchor(table: dict[str, Any], folder: Path) -> None:
     """Paths in a file are relative to that file."""
     robots = table.get("robots")
-    for robot in robots.values() if isinstance(robots, dict) else ():
-        body = robot.get("body") if isinstance(robot, dict) else None
+    bodies = (
+        [robot.get("body") for robot in robots.values() if isinstance(robot, dict)] if isinstance(robots, dict) else []
+    )
+    for body in [*bodies, table.get("simulation")]:
         if not isinstance(body, dict):
             continue
-        for key in ("path", "world"):
+        for key, is_path in _PATHS.items():
             value = body.get(key)
-            if isinstance(value, str) and (key == "path" or "/" in value or value.endswith((".yaml", ".yml"))):
+            if isinstance(value, str) and is_path(value):
                 body[key] = str((folder / value).absolute())
 
 
@@ -283,7 +332,7 @@ def _complaint(error: ValidationError, source: Any) -> UserError:
         return UserError(where, "is no key of the configuration", remedy)
     if first["type"] in {"union_tag_not_found", "union_tag_invalid"}:
         what = f"{first['ctx']['tag']!r} is unknown" if "tag" in first["ctx"] else "is missing"
-        kinds = "orion, laser or beams" if path == ["sensor"] else "simulated or recording"
+        kinds = "orion, laser or beams" if path == ["sensor"] else "serial or recording"
         return UserError(f"{where}.kind", what, f"give {kinds}")
     what = first["msg"].removeprefix("Value error, ")
     what = what[:1].lower() + what[1:]
@@ -305,7 +354,7 @@ def _keys(location: tuple[int | str, ...]) -> list[int | str]:
 def _known_keys(location: tuple[int | str, ...]) -> set[str]:
     """The keys of the table in which an unknown one was found."""
     kinds: dict[object, type[BaseModel]] = {
-        "simulated": SimulatedBody,
+        "serial": SerialBody,
         "recording": RecordedBody,
         "orion": OrionSensor,
         "laser": LaserSensor,
@@ -315,6 +364,10 @@ def _known_keys(location: tuple[int | str, ...]) -> set[str]:
     match location[:-1]:
         case ("evidence",):
             table = Evidence
+        case ("simulation",):
+            table = Simulation
+        case ("simulation", "noise"):
+            table = SimulatedNoise
         case ("sensor", kind) | ("robots", _, "body", kind):
             table = kinds[kind]
         case ("sensor", *_):

@@ -17,8 +17,15 @@ from typing import Any
 from agent.kernel import Compilation
 
 
+class Stopped(Exception):  # noqa: N818 - it is no error
+    """Told to end before the work had begun."""
+
+
 class Control:
     """The orders so far.
+
+    Args:
+        compilation: of the kernel, if this process sees to it.
 
     Attributes:
         go: the body may move.
@@ -31,6 +38,7 @@ class Control:
         self._compilation = compilation
         self._said: set[str] = set()
         self._around = 0
+        self._trouble = ""
 
     @property
     def kernel(self) -> bool:
@@ -43,13 +51,18 @@ class Control:
         if event == "ready":
             lines = [f"{facts['name']} is ready; Ctrl-C ends it"]
         elif event == "status":
-            lines = [f"refused {reason}" for reason in facts["refused"]]
-            lines += [f"{robot} has no start pose: its map is kept apart" for robot in facts["not_placed"]]
+            lines = [f"refused {reason}" for reason in facts.get("refused", ())]
+            lines += [f"{robot} has no start pose: its map is kept apart" for robot in facts.get("not_placed", ())]
             lines = [line for line in lines if line not in self._said]
             self._said.update(lines)
-            if facts["around"] != self._around:
-                self._around = facts["around"]
-                lines.append(f"{self._around} other peer" + "s" * (self._around != 1))
+            trouble = facts.get("body", "")
+            if trouble and trouble != self._trouble:
+                self._trouble = trouble
+                lines.append(trouble)
+            around = facts.get("around", self._around)
+            if around != self._around:
+                self._around = around
+                lines.append(f"{around} other peer" + "s" * (around != 1))
         for line in lines:
             sys.stderr.write(f"orion: {line}\n")
 

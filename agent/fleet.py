@@ -43,6 +43,7 @@ class Fleet:
         self._out = out
         self._news: queue.SimpleQueue[tuple[Member, dict[str, Any] | None]] = queue.SimpleQueue()
         self.members: dict[str, Member] = {}
+        self._world: Member | None = None
 
     def __enter__(self) -> Self:
         return self
@@ -56,17 +57,25 @@ class Fleet:
             self._order("finish")
             patience = _LEAVING if error is None else 2.0
         deadline = time.monotonic() + patience
-        for member in self.members.values():
+        for member in self._processes():
             member.end(deadline)
 
-    def start(self) -> None:
-        """Start every process."""
-        file = str(self._out / "orion.toml")
-        for robot in self._config.roster:
-            self._start(robot, ["agent", "-c", file, "--robot", robot])
-        self._start(OBSERVER, ["observe", "-c", file, "--out", str(self._out)])
+    def start(self, *, simulated: bool, scans: bool = False) -> None:
+        """Start every process.
 
-    def _start(self, name: str, arguments: list[str]) -> None:
+        Args:
+            simulated: the world too, as the robots are not there without it.
+            scans: the observer writes what scans it saw to ``scans.npz``.
+        """
+        file = str(self._out / "orion.toml")
+        if simulated:
+            self._world = self._start("world", ["simulate", "-c", file, "--truth", str(self._out / "truth.npz")])
+        for robot in self._config.roster:
+            self.members[robot] = self._start(robot, ["agent", "-c", file, "--robot", robot])
+        record = ["--scans", str(self._out / "scans.npz")] if scans else []
+        self.members[OBSERVER] = self._start(OBSERVER, ["observe", "-c", file, "--out", str(self._out), *record])
+
+    def _start(self, name: str, arguments: list[str]) -> Member:
         process = subprocess.Popen(  # noqa: S603 - our own command
             [sys.executable, "-P", "-m", "agent", *arguments, "--supervised"],
             stdin=subprocess.PIPE,
@@ -74,8 +83,13 @@ class Fleet:
             text=True,
             start_new_session=True,  # Ctrl-C is ours to pass on, as "finish"
         )
-        member = self.members[name] = Member(name, process)
+        member = Member(name, process)
         threading.Thread(target=self._listen, args=(member,), name=f"orion-{name}", daemon=True).start()
+        return member
+
+    def _processes(self) -> list[Member]:
+        """The members, and last the world that their bodies are in."""
+        return [*self.members.values(), *([] if self._world is None else [self._world])]
 
     def _listen(self, member: Member) -> None:
         assert member.process.stdout is not None
@@ -111,6 +125,8 @@ class Fleet:
                     return True
                 if not any(member.alive for member in self._robots()) or not self.members[OBSERVER].alive:
                     return False
+                if self._world is not None and not self._world.alive:
+                    return False
                 if time.monotonic() - news_at > _STALLED and self._all_done():
                     return False
 
@@ -122,12 +138,12 @@ class Fleet:
         """
         self._order("finish")
         deadline = time.monotonic() + _LEAVING
-        while time.monotonic() < deadline and self._living():
+        while time.monotonic() < deadline and any(member.alive for member in self._processes()):
             self._take_news(0.1)
         self._check_failures()
 
     def _order(self, word: str) -> None:
-        for member in self.members.values():
+        for member in self._processes():
             member.order(word)
 
     def _take_news(self, timeout: float) -> bool:
@@ -151,7 +167,7 @@ class Fleet:
         return True
 
     def _check_failures(self) -> None:
-        for member in self.members.values():
+        for member in self._processes():
             if member.error is not None:
                 raise UserError(*member.error)
 
@@ -186,10 +202,12 @@ class Fleet:
             lost = {"id": member.name, "session": None, "map_digest": None, "lost": True}
             robots.append(member.report or lost)
         digests = {each.get("map_digest") for each in [*robots, observer]}
+        world = {} if self._world is None else {"simulation": self._world.report or {"lost": True}}
         return {
             "converged": settled and len(digests) == 1 and None not in digests,
             "seconds": round(seconds, 3),
             "robots": robots,
             "observer": observer,
             "files": files,
+            **world,
         }

@@ -29,23 +29,24 @@ def demo_config(base: Config, *, world: str, robots: int | None, speed: float | 
     """
     from agent.world import load_world
 
-    starts = load_world(world).starts
-    count = len(starts) if robots is None else robots
+    there = load_world(world)
+    count = len(there.starts) if robots is None else robots
     if base.robots and robots is not None and robots != len(base.robots):
         raise UserError("--robots", f"is {robots}, but the file names {len(base.robots)}", "give one or the other")
     if base.robots:
         count = len(base.robots)
-    if not 1 <= count <= len(starts):
-        remedy = f"give 1 to {len(starts)}, or another --world"
-        raise UserError("--robots", f"is {count}, but world {world!r} has {len(starts)} starts", remedy)
+    if not 1 <= count <= len(there.starts):
+        remedy = f"give 1 to {len(there.starts)}, or another --world"
+        raise UserError("--robots", f"is {count}, but world {world!r} has {len(there.starts)} starts", remedy)
     table = base.model_dump(mode="json", exclude_none=True)
     roster: dict[str, Any] = {}
     for k, name in enumerate(base.roster or [f"r{k + 1}" for k in range(count)]):
-        start = starts[k]
+        start = there.starts[k]
         truth = {"x": start.x, "y": start.y, "yaw_deg": round(math.degrees(start.yaw), 9)}
-        body = {"kind": "simulated", "world": _absolute(world), "index": k, "seed": seed, "speed": speed}
+        body = {"kind": "serial", "port": f"{name}.tty", "waypoints": there.waypoints[k].tolist()}
         roster[name] = {"start": truth, **table.get("robots", {}).get(name, {}), "body": body}
-    return resolve(table | {"robots": roster})
+    simulation = table["simulation"] | {"world": _absolute(world), "seed": seed, "speed": speed}
+    return resolve(table | {"robots": roster, "simulation": simulation})
 
 
 def replay_config(
@@ -109,7 +110,7 @@ def _absolute(world: str) -> str:
     return _in_a_file(Path(world)) if "/" in world or world.endswith((".yaml", ".yml")) else world
 
 
-def launch(config: Config, out: Path, *, as_json: bool) -> bool:
+def launch(config: Config, out: Path, *, simulated: bool, as_json: bool) -> bool:
     """Run a swarm on this machine to its end, and say what came of it; gives whether all agree.
 
     Raises:
@@ -129,7 +130,7 @@ def launch(config: Config, out: Path, *, as_json: bool) -> bool:
     interrupted = False
     with Fleet(config, folder) as fleet:
         try:
-            fleet.start()
+            fleet.start(simulated=simulated)
             with progress() as bars:
                 settled = fleet.run(bars)
         except UserError:
@@ -163,6 +164,8 @@ def _told(summary: dict[str, Any]) -> list[str]:
             sent = robot["bytes_sent"] / 1000
             facts = f"{robot['scans']} scans in {robot['updates']} updates, {sent:.1f} kB sent"
             lines.append(f"{robot['id']:>10}  {robot['map_digest']}  {facts}")
+    if summary.get("simulation", {}).get("lost"):
+        lines.append(f"{'simulation':>10}  LOST")
     observer = summary["observer"]
     if observer:
         known = f"{observer['tiles']} tiles, {observer['known_m2']:.2f} m2 known"

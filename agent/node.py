@@ -9,14 +9,17 @@ from __future__ import annotations
 import math
 import secrets
 import time
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from agent.body import Body
 from agent.control import Control
 from agent.kernel import Kernel
+from mapping.lattice import Cells, TileKey
 from mapping.pose import QuantisedPose
 from mapping.scan import Scans
 from mapping.sensor import Beam, Sensor
+from mapping.tiles import Tiles
 from swarm.messages import Hello
 from swarm.peer import Listener, Peer
 from swarm.session import Descriptor, Rules
@@ -25,8 +28,8 @@ from swarm.writer import Publish
 from transport.bus import Bus, Joined, Left, Message
 
 SOFTWARE = b"orion-swarm"
-_PATIENCE = 0.02
-"""Seconds that a robot sleeps at most: it looks after its body fifty times a second."""
+Corrections = Callable[[Tiles], Mapping[TileKey, Cells]]
+"""The own session's tiles that news changes, with their new contents (``agent.team_mates``)."""
 
 _STATUS_PERIOD = 0.1
 
@@ -37,10 +40,15 @@ class NoBody:
     sensor = Sensor((Beam(0, 0, 0),), 1)
     progress = (0, 0)
     done = True
+    patience = 0.02
+    status = ""
 
     def read(self, until: float) -> Scans:
         """No scans, ever."""
         return Scans.empty(len(self.sensor.beams))
+
+    def close(self) -> None:
+        """Nothing moves."""
 
 
 def peer_name(name: str) -> str:
@@ -65,8 +73,10 @@ class Node:
         body: Body | None = None,
         speed: float = 1.0,
         listener: Listener = lambda descriptor, update: None,
+        corrections: Corrections = lambda tiles: {},
     ) -> None:
         self._bus = bus
+        self._corrections = corrections
         self._body: Body = NoBody() if body is None else body
         self._speed = speed
         self._kernel = Kernel()
@@ -101,21 +111,31 @@ class Node:
                 self._sense(go=control.go)
                 self._hear()
                 self._say(time.monotonic())
+                self._correct()
                 self._report(control)
             self._say(time.monotonic() + LAN.update_period)  # what was sensed is not lost with the process
         finally:
             self._kernel.close()
 
     def _sense(self, *, go: bool) -> None:
-        if not go or self._body.done:
-            return
-        now = time.monotonic()
-        if self._began is None:
-            self._began = now
-        scans = self._body.read(math.inf if math.isinf(self._speed) else (now - self._began) * self._speed)
-        if self.peer.writer is not None and len(scans):
+        done = self._body.done  # then it has seen enough; but a robot must be listened to even so
+        scans = self._body.read(self._body_time(time.monotonic()) if go else 0.0)
+        if self.peer.writer is not None and len(scans) and not done:
             self.peer.writer.sense(scans)
             self.scans += len(scans)
+
+    def _body_time(self, now: float) -> float:
+        if self._began is None:
+            self._began = now
+        return math.inf if math.isinf(self._speed) else (now - self._began) * self._speed
+
+    def _correct(self) -> None:
+        """Publish what was learnt of what is published already; not while scans wait, on which it does not count."""
+        writer = self.peer.writer
+        if writer is not None and not writer.waiting:
+            changes = self._corrections(writer.replica.state.cells)
+            if changes:
+                self.peer.correct(changes, time.monotonic())
 
     def _hear(self) -> None:
         for event in self._bus.receive(self._idle_time()):
@@ -133,7 +153,7 @@ class Node:
     def _idle_time(self) -> float:
         """Seconds to wait for something to come in."""
         hurry = not self._body.done and math.isinf(self._speed) and self._began is not None
-        return 0.0 if hurry else min(max(0.0, self.peer.wake_at - time.monotonic()), _PATIENCE)
+        return 0.0 if hurry else min(max(0.0, self.peer.wake_at - time.monotonic()), self._body.patience)
 
     def _say(self, now: float) -> None:
         for to, topic, payload in self.peer.poll(now):
@@ -151,6 +171,7 @@ class Node:
         status = {
             "around": len(self._around),
             "progress": self._body.progress,
+            "body": self._body.status,
             "done": self._body.done and not (writer is not None and writer.waiting),
             "positions": {session.hex(): replica.state.n for session, replica in self.peer.replicas.items()},
             "refused": sorted(self.peer.refused.values()),

@@ -11,9 +11,11 @@ from numpy.typing import NDArray
 from agent.config import Config
 from agent.control import Control
 from agent.errors import UserError
+from agent.files import prepare_folder
 from agent.links import open_bus
 from agent.map_files import save_map
 from agent.node import SOFTWARE, Node
+from agent.scan_record import ScanRecord, save_scans
 from mapping.grid import Grid
 from mapping.map_picture import Trail, robot_colour
 from swarm.messages import Hello, Update
@@ -44,13 +46,14 @@ class Trails:
         return np.concatenate([np.zeros((0, 2)), *self._poses.get(session, [])])
 
 
-def run_observer(config: Config, out: Path | None, control: Control) -> dict[str, Any]:
+def run_observer(config: Config, out: Path | None, control: Control, scans: Path | None = None) -> dict[str, Any]:
     """Follow the swarm until told to stop, then write the map; gives the summary.
 
     Args:
         config: the swarm.
         out: a prepared folder for the map's files, or None for none.
         control: who says when.
+        scans: an npz for the scans that came by (``agent.scan_record``), or None.
 
     Raises:
         UserError: there are no robots, an endpoint cannot be used, or a file cannot be written.
@@ -59,14 +62,24 @@ def run_observer(config: Config, out: Path | None, control: Control) -> dict[str
         raise UserError(
             "robots", "none in the configuration, so there is nobody to observe", "give the swarm's TOML: -c"
         )
-    trails = Trails()
+    if scans is not None:
+        prepare_folder(scans.absolute().parent)
+    trails, record = Trails(), ScanRecord()
+
+    def listen(descriptor: Descriptor, update: Update) -> None:
+        trails(descriptor, update)
+        if scans is not None:
+            record(descriptor, update)
+
     with open_bus(config, "observer", None) as bus:
-        node = Node(bus, config.rules(), Hello(Hello.OBSERVER, b"observer", SOFTWARE), listener=trails)
+        node = Node(bus, config.rules(), Hello(Hello.OBSERVER, b"observer", SOFTWARE), listener=listen)
         control.tell("ready", name="the observer")
         node.run(control)
         grid = Grid.of(node.peer.fusion.tiles, config.rules().lattice)
         # before the bus is left: a mute peer may hold that up for seconds
         files = {} if out is None else write_maps(node.peer, grid, trails, config.roster, out)
+        if scans is not None:
+            save_scans(scans, record.sessions())
         facts = {"tiles": len(node.peer.fusion.tiles), "known_m2": round(grid.known_m2, 6)}
         return {**facts, **node.summary(), "files": files}
 

@@ -93,6 +93,9 @@ class RecordedBody:
         UserError: the start pose takes the recording out of the map's bounds.
     """
 
+    patience = 0.02
+    status = ""
+
     def __init__(self, recording: Recording, start: QuantisedPose) -> None:
         self.sensor = recording.sensor
         self._due = recording.due
@@ -119,3 +122,6 @@ class RecordedBody:
     def done(self) -> bool:
         """Whether every scan has been given."""
         return self._next == len(self._scans)
+
+    def close(self) -> None:
+        """Nothing moves."""

@@ -1,4 +1,4 @@
-"""A world to simulate in: thin walls, where robots start, and the waypoints that each of them visits.
+"""A world to simulate in: walls, what moves among them, where robots start, and the waypoints that they visit.
 
 Laws kept here: everything is in the common frame; a world comes from a YAML file that is checked in whole when it is
 loaded, and what is wrong with it is said in one line with its remedy.
@@ -20,10 +20,21 @@ from numpy.typing import NDArray
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
 from agent.errors import UserError
+from agent.geometry import distances_to_walls, meet_walls
+from agent.obstacle import Obstacle, Shape
+from agent.occupied_cells import NO_CELLS, OccupiedCells
+from mapping.evidence import occupied
 from mapping.pose import Pose
 
 _PACKAGED = resources.files("agent") / "worlds"
-_EXAMPLE = "compare it with agent/worlds/paper.yaml, which has every key"
+_EXAMPLE = "compare it with agent/worlds/paper.yaml"
+
+
+_BATCH = 1 << 18
+"""Pairs of ray and wall that are looked at in one go: some megabytes."""
+
+NEAR = 0.5
+"""Metres up to which the distance to a picture's cells is told."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -34,45 +45,45 @@ class World:
         name: as the user gave it, for messages.
         walls: shape (M, 4), x0, y0, x1, y1 of each straight piece, metres.
         starts: one true start pose a robot.
-        waypoints: for each start the points to visit in order, shape (W, 2), metres.
+        waypoints: for each start the points to visit in order, shape (W, 2), metres; none: the robot finds its own way.
+        obstacles: what moves besides the robots.
+        cells: a picture's walls, besides the straight ones.
     """
 
     name: str
     walls: NDArray[np.float64]
     starts: tuple[Pose, ...]
     waypoints: tuple[NDArray[np.float64], ...]
+    obstacles: tuple[Obstacle, ...] = ()
+    cells: OccupiedCells = NO_CELLS
 
-    def cast(self, origins: NDArray[np.float64], bearings: NDArray[np.float64]) -> NDArray[np.float64]:
+    def cast(
+        self, origins: NDArray[np.float64], bearings: NDArray[np.float64], reach: float = np.inf
+    ) -> NDArray[np.float64]:
         """How far each ray goes until it meets a wall; exact, and without a gap where two walls share a corner.
-
-        A wall is met where its ends lie on either side of the ray's line. A shared corner is on one and the same side
-        for both of its walls, so no ray slips through between them.
 
         Args:
             origins: shape (K, 2), metres.
             bearings: shape (K,), radians counter-clockwise from the x axis.
+            reach: metres up to which walls matter; a picture's beyond it may be left out, to save time.
 
         Returns:
             Shape (K,), metres; infinity where no wall is ahead.
         """
-        dx, dy = np.cos(bearings), np.sin(bearings)
-        nearest = np.full(len(bearings), np.inf)
-        for x0, y0, x1, y1 in self.walls:  # wall by wall, so that memory grows with the rays alone
-            ahead0, aside0 = _along(x0 - origins[:, 0], y0 - origins[:, 1], dx, dy)
-            ahead1, aside1 = _along(x1 - origins[:, 0], y1 - origins[:, 1], dx, dy)
-            apart = aside0 != aside1  # otherwise the wall is parallel, and at best its nearer end is met
-            share = np.divide(aside0, aside0 - aside1, out=np.zeros_like(aside0), where=apart)
-            distance = np.where(apart, ahead0 + share * (ahead1 - ahead0), np.minimum(ahead0, ahead1))
-            met = (np.minimum(aside0, aside1) <= 0) & (np.maximum(aside0, aside1) >= 0) & (distance >= 0)
-            np.minimum(nearest, distance, out=nearest, where=met)
+        nearest = self.cells.cast(origins, bearings, reach)
+        step = max(1, _BATCH // max(1, len(self.walls)))
+        for k in range(0, len(nearest) if len(self.walls) else 0, step):
+            rays = slice(k, k + step)
+            met = meet_walls(origins[rays], bearings[rays], self.walls).min(axis=1)
+            np.minimum(nearest[rays], met, out=nearest[rays])
         return nearest
 
-
-def _along(
-    x: NDArray[np.float64], y: NDArray[np.float64], dx: NDArray[np.float64], dy: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Offsets (x, y) measured along the unit direction (dx, dy) and to its left."""
-    return x * dx + y * dy, y * dx - x * dy
+    def clearance(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """From each point, shape (N, 2), to the nearest wall, metres; with a picture at most ``NEAR``."""
+        nearest = self.cells.distances(points, NEAR)
+        if len(self.walls):
+            np.minimum(nearest, distances_to_walls(points, self.walls).min(axis=1), out=nearest)
+        return nearest
 
 
 def _chain(corners: list[float]) -> list[float]:
@@ -98,15 +109,28 @@ class _Start(BaseModel):
     x: _Metres
     y: _Metres
     yaw_deg: _Finite
+    waypoints: list[tuple[_Metres, _Metres]] | None = Field(None, min_length=1)
+
+
+class _Obstacle(BaseModel):
+    """Something that moves, as the file has it."""
+
+    model_config = _STRICT
+    shape: Shape
+    radius: Annotated[_Finite, Field(gt=0, le=10)]
+    speed: Annotated[_Finite, Field(ge=0, le=10)]
     waypoints: list[tuple[_Metres, _Metres]] = Field(min_length=1)
+    loop: bool = Field(False, strict=True)
 
 
 class _File(BaseModel):
     """The whole file."""
 
     model_config = _STRICT
-    walls: list[Annotated[list[_Metres], AfterValidator(_chain)]] = Field(min_length=1)
+    walls: list[Annotated[list[_Metres], AfterValidator(_chain)]] | None = Field(None, min_length=1)
+    image: str | None = Field(None, min_length=1)
     starts: list[_Start] = Field(min_length=1)
+    obstacles: list[_Obstacle] = []
 
 
 def world_names() -> list[str]:
@@ -117,24 +141,46 @@ def world_names() -> list[str]:
 def load_world(where: str | Path) -> World:
     """The world of that name, or else in the YAML file of that path.
 
-    The file holds ``walls``, each a list of corners ``[x, y, x, y, ...]``, and ``starts``, each with ``x``, ``y``,
-    ``yaw_deg`` and ``waypoints`` ``[[x, y], ...]``.
+    The file holds ``walls``, each a list of corners ``[x, y, x, y, ...]``, or an ``image``, the YAML of a map_server
+    map beside it whose occupied cells are walls, or both; and ``starts``, each with ``x``, ``y``, ``yaw_deg`` and, if
+    the robot has an errand, ``waypoints`` ``[[x, y], ...]``. It may hold ``obstacles``, each with ``shape`` (disc or
+    box), ``radius`` (or half a side), ``speed``, ``waypoints`` and ``loop``.
 
     Raises:
-        UserError: there is no such world, or its file is wrong.
+        UserError: there is no such world, or its file or image is wrong.
     """
     content = _parse(where, _read(where))
     try:
         checked = _File.model_validate(content)
     except ValidationError as error:
         raise _complaint(where, error) from error
-    walls = [[*a, *b] for chain in checked.walls for a, b in pairwise(zip(chain[::2], chain[1::2], strict=True))]
+    if checked.walls is None and checked.image is None:
+        raise UserError(f"{where}: walls", "is missing", "add it, or an image")
+    chains = checked.walls or []
+    walls = [[*a, *b] for chain in chains for a, b in pairwise(zip(chain[::2], chain[1::2], strict=True))]
     return World(
         name=str(where),
-        walls=np.array(walls, dtype=np.float64),
+        walls=np.array(walls, dtype=np.float64).reshape(-1, 4),
         starts=tuple(Pose(start.x, start.y, radians(start.yaw_deg)) for start in checked.starts),
-        waypoints=tuple(np.array(start.waypoints, dtype=np.float64) for start in checked.starts),
+        waypoints=tuple(_points(start.waypoints or []) for start in checked.starts),
+        obstacles=tuple(
+            Obstacle(it.shape, it.radius, it.speed, _points(it.waypoints), it.loop) for it in checked.obstacles
+        ),
+        cells=NO_CELLS if checked.image is None else _cells(Path(where).parent / checked.image),
     )
+
+
+def _points(points: list[tuple[float, float]]) -> NDArray[np.float64]:
+    """Shape (N, 2)."""
+    return np.array(points, dtype=np.float64).reshape(-1, 2)
+
+
+def _cells(image: Path) -> OccupiedCells:
+    """The occupied cells of a map file."""
+    from agent.map_files import load_map  # brings the pictures' library, which few worlds need
+
+    grid = load_map(image)
+    return OccupiedCells(occupied(grid.evidence), grid.origin, grid.lattice.cell)
 
 
 def _read(where: str | Path) -> bytes:
@@ -171,7 +217,8 @@ def _complaint(where: str | Path, error: ValidationError) -> UserError:
     key = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in first["loc"])
     place = f"{where}: {key.lstrip('.')}"
     if first["type"] == "extra_forbidden":
-        known = list(_Start.model_fields if parents else _File.model_fields)
+        tables: dict[str | int, type[BaseModel]] = {"starts": _Start, "obstacles": _Obstacle}
+        known = list(tables.get(parents[0], _File).model_fields if parents else _File.model_fields)
         near = difflib.get_close_matches(str(last), known, n=1, cutoff=0)
         return UserError(place, "unknown key", f"did you mean {near[0]}? Known are {_listed(known)}")
     if first["type"] == "missing":

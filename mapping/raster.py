@@ -2,7 +2,8 @@
 
 The k-th cell of a ray of n steps lies at start + round(k * d / n) on each axis, ties away from the start. So all
 cells of all rays are one array expression, and the evidence of a batch is two histograms (algorithms 1 and 2):
-free * (visits that are no hits) + occupied * hits. ``raster_jit`` gives the same integers from compiled loops.
+free * (visits that are no hits) + occupied * hits. A ray with a silent end does not visit its last cell.
+``raster_jit`` gives the same integers from compiled loops.
 """
 
 from __future__ import annotations
@@ -83,6 +84,8 @@ def slopes(rays: Rays) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np
 def raster(rays: Rays, model: EvidenceModel) -> Evidence:
     """The evidence of the rays, summed over all of them: occupied at a hit, free before it, nothing behind it.
 
+    At an end without a hit it is free, at a silent one nothing.
+
     Raises:
         ValueError: they touch more than ``MAX_TILES`` tiles.
     """
@@ -90,8 +93,8 @@ def raster(rays: Rays, model: EvidenceModel) -> Evidence:
 
 
 def _raster_chunk(rays: Rays, model: EvidenceModel) -> Evidence:
-    n, f, sign = slopes(rays)
-    lengths = n + 1
+    _, f, sign = slopes(rays)
+    lengths = rays.visits
     ends = np.cumsum(lengths)
     ray = np.repeat(np.arange(len(rays)), lengths)
     k = np.arange(int(ends[-1])) - (ends - lengths)[ray]

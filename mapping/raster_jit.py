@@ -23,15 +23,15 @@ _HALF = 1 << (SHIFT - 1)
 @numba.njit(cache=True, nogil=True)
 def _mark(
     start: NDArray[np.int64],
-    n: NDArray[np.int64],
+    visits: NDArray[np.int64],
     f: NDArray[np.int64],
     sign: NDArray[np.int64],
     ty0: int,
     tx0: int,
     touched: NDArray[np.bool_],
 ) -> None:
-    for ray in range(len(n)):
-        for k in range(n[ray] + 1):
+    for ray in range(len(visits)):
+        for k in range(visits[ray]):
             i = start[ray, 0] + sign[ray, 0] * ((k * f[ray, 0] + _HALF) >> SHIFT)
             j = start[ray, 1] + sign[ray, 1] * ((k * f[ray, 1] + _HALF) >> SHIFT)
             touched[(j >> _TILE_BITS) - ty0, (i >> _TILE_BITS) - tx0] = True
@@ -40,7 +40,7 @@ def _mark(
 @numba.njit(cache=True, nogil=True)
 def _add(
     start: NDArray[np.int64],
-    n: NDArray[np.int64],
+    visits: NDArray[np.int64],
     f: NDArray[np.int64],
     sign: NDArray[np.int64],
     hit: NDArray[np.bool_],
@@ -51,8 +51,8 @@ def _add(
     occupied: int,
     cells: NDArray[np.int32],
 ) -> None:
-    for ray in range(len(n)):
-        last = n[ray]
+    for ray in range(len(visits)):
+        last = visits[ray] - 1
         for k in range(last + 1):
             i = start[ray, 0] + sign[ray, 0] * ((k * f[ray, 0] + _HALF) >> SHIFT)
             j = start[ray, 1] + sign[ray, 1] * ((k * f[ray, 1] + _HALF) >> SHIFT)
@@ -66,12 +66,13 @@ def raster(rays: Rays, model: EvidenceModel) -> Evidence:
 
 
 def _raster_chunk(rays: Rays, model: EvidenceModel) -> Evidence:
-    n, f, sign = slopes(rays)
+    _, f, sign = slopes(rays)
+    visits = rays.visits
     ty0, tx0, rows, columns = tile_box(rays)
     touched = np.zeros((rows, columns), np.bool_)
-    _mark(rays.start, n, f, sign, ty0, tx0, touched)
+    _mark(rays.start, visits, f, sign, ty0, tx0, touched)
     slot = (np.cumsum(touched) - 1).reshape(touched.shape)
     keys = np.argwhere(touched) + np.array([ty0, tx0])
     cells = np.zeros((len(keys), TILE, TILE), np.int32)
-    _add(rays.start, n, f, sign, rays.hit, ty0, tx0, slot, model.free, model.occupied, cells)
+    _add(rays.start, visits, f, sign, rays.hit, ty0, tx0, slot, model.free, model.occupied, cells)
     return Evidence(keys.astype(np.int32), cells)

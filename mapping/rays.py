@@ -7,6 +7,7 @@ cell is its floor division by the cell size.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Self
 
 import numpy as np
@@ -14,8 +15,14 @@ from numpy.typing import NDArray
 
 from mapping.cosine import Q, cosine, sine
 from mapping.lattice import Lattice
+from mapping.pose import FULL_TURN
 from mapping.scan import INVALID, NO_RETURN, Scans
 from mapping.sensor import Sensor
+
+# What a ray says of its last cell.
+FREE = 0  # free, like all before it: nothing was seen up to there
+HIT = 1  # occupied: something was seen there
+SILENT = 2  # nothing: something was seen somewhere at this distance, perhaps not here
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -25,41 +32,112 @@ class Rays:
     Attributes:
         start: int64, shape (R, 2): cell (i, j) where the beam starts.
         end: int64, shape (R, 2): cell (i, j) of the reading, or where the sensor's range ends.
-        hit: bool, shape (R,): whether something was seen at the end.
+        ending: shape (R,): ``FREE``, ``HIT`` or ``SILENT``. Booleans will do where none is silent: whether it hit.
     """
 
     start: NDArray[np.int64]
     end: NDArray[np.int64]
-    hit: NDArray[np.bool_]
+    ending: NDArray[np.uint8]
 
     def __len__(self) -> int:
-        return len(self.hit)
+        return len(self.ending)
 
     def __getitem__(self, rows: slice) -> Self:
-        return type(self)(self.start[rows], self.end[rows], self.hit[rows])
+        return type(self)(self.start[rows], self.end[rows], self.ending[rows])
+
+    @property
+    def hit(self) -> NDArray[np.bool_]:
+        """Whether something was seen at the end, shape (R,)."""
+        return np.asarray(self.ending == HIT)
 
     @property
     def steps(self) -> NDArray[np.int64]:
-        """The number of steps n of each ray, int64 (R,): it visits the n + 1 cells k = 0 ... n."""
+        """The number of steps n of each ray, int64 (R,): its cells are k = 0 ... n."""
         return np.asarray(np.abs(self.end - self.start).max(axis=1, initial=0), dtype=np.int64)
+
+    @property
+    def visits(self) -> NDArray[np.int64]:
+        """How many of its cells each ray says something of, int64 (R,): the n + 1, or n if its end is silent."""
+        return np.asarray(self.steps + (self.ending != SILENT))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fan:
+    """A sensor's beams as F thin rays in the robot's frame; int64, shape (F,) each.
+
+    Attributes:
+        beam: whose reading the ray has.
+        x_mm: where it starts.
+        y_mm: where it starts.
+        bearing_turn16: where it looks; not wrapped.
+        ending: what a reading says at its end: ``HIT`` in the middle of the beam, ``SILENT`` beside it.
+    """
+
+    beam: NDArray[np.int64]
+    x_mm: NDArray[np.int64]
+    y_mm: NDArray[np.int64]
+    bearing_turn16: NDArray[np.int64]
+    ending: NDArray[np.int64]
+
+
+def spread(half_width_turn16: int, max_range_mm: int, cell_mm: int) -> tuple[int, int]:
+    """How a wide beam is cut into thin rays at bearing + k * step, k = -m ... m.
+
+    Two rays that are ``step`` apart are 2 pi * step / 65536 * range apart at their ends, along the arc. With
+    2 pi < 710 / 113 the largest step that keeps this below one cell at the maximum range is, in whole numbers,
+    65536 * 113 * cell / (710 * range), rounded down (at least 2, as a range has at most 4,095 cells). Rays are then
+    spread evenly: m = half-width / largest step, rounded up, and step = half-width / m, rounded down.
+
+    Returns:
+        m and step; (0, 0) for a thin beam.
+    """
+    if half_width_turn16 == 0:
+        return 0, 0
+    largest = FULL_TURN * 113 * cell_mm // (710 * max_range_mm)
+    m = -(-half_width_turn16 // largest)
+    return m, half_width_turn16 // m
+
+
+@lru_cache(maxsize=64)
+def fan(sensor: Sensor, lattice: Lattice) -> Fan:
+    """The thin rays that a sensor's beams are made of: one a thin beam, 2 m + 1 a wide one (``spread``).
+
+    All rays of a beam have its origin and its reading's length. The middle one says what a thin beam's says. The others
+    free their cells strictly before their ends: had there been something, it would have been read; but which of the
+    ends returned the echo nobody knows. Where nothing is in range, all of them free everything up to it.
+    """
+    rows = []
+    for number, (x_mm, y_mm, bearing, half_width) in enumerate(sensor.beams):
+        m, step = spread(half_width, sensor.max_range_mm, lattice.cell_mm)
+        rows += [(number, x_mm, y_mm, bearing + k * step, SILENT if k else HIT) for k in range(-m, m + 1)]
+    table = np.array(rows, np.int64).T.copy()
+    table.setflags(write=False)
+    return Fan(*table)
 
 
 def rays_of(scans: Scans, sensor: Sensor, lattice: Lattice) -> Rays:
-    """The rays of every reading that says something; an invalid reading gives none, "no return" a free one."""
-    beams = sensor.table
+    """The rays of every reading that says something; an invalid reading gives none, "no return" free ones.
+
+    Raises:
+        ValueError: the scans are another sensor's.
+    """
+    if scans.beams != len(sensor.beams):
+        raise ValueError(f"rays: {scans.beams} readings a scan cannot be broadcast to {len(sensor.beams)} beams")
+    beams = fan(sensor, lattice)
     x, y, yaw = (column[:, None] for column in scans.poses.astype(np.int64).T)
-    ranges = scans.ranges.astype(np.int64)
-    hit = ranges != NO_RETURN
-    reach = np.where(hit, ranges, sensor.max_range_mm)
+    ranges = scans.ranges.astype(np.int64)[:, beams.beam]
+    returned = ranges != NO_RETURN
+    reach = np.where(returned, ranges, sensor.max_range_mm)
+    ending = np.where(returned, beams.ending, FREE)
 
     c, s = cosine(yaw), sine(yaw)
-    x0 = (x << Q) + beams[:, 0] * c - beams[:, 1] * s
-    y0 = (y << Q) + beams[:, 0] * s + beams[:, 1] * c
-    x1 = x0 + reach * cosine(yaw + beams[:, 2])
-    y1 = y0 + reach * sine(yaw + beams[:, 2])
+    x0 = (x << Q) + beams.x_mm * c - beams.y_mm * s
+    y0 = (y << Q) + beams.x_mm * s + beams.y_mm * c
+    x1 = x0 + reach * cosine(yaw + beams.bearing_turn16)
+    y1 = y0 + reach * sine(yaw + beams.bearing_turn16)
 
     scale = lattice.cell_mm << Q
     says = ranges != INVALID
     start = np.stack([x0[says], y0[says]], axis=1) // scale
     end = np.stack([x1[says], y1[says]], axis=1) // scale
-    return Rays(start, end, hit[says])
+    return Rays(start, end, ending[says].astype(np.uint8))

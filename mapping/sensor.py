@@ -19,6 +19,12 @@ from mapping.pose import FULL_TURN, to_turn16
 MAX_RANGE_LIMIT_MM = 65_000
 """Ranges travel as uint16 millimetres; 65535 means "nothing in range"."""
 
+MAX_HALF_WIDTH_TURN16 = FULL_TURN // 4
+"""A wider beam than half a turn would look behind itself."""
+
+MAX_WIDTHS_TURN16 = FULL_TURN
+"""The half-widths of all beams together: two full turns of view. It bounds the rays that one scan can draw."""
+
 
 class Beam(NamedTuple):
     """One beam in the robot's frame.
@@ -27,7 +33,8 @@ class Beam(NamedTuple):
         x_mm: where it starts, forward of the robot's centre.
         y_mm: where it starts, left of the robot's centre.
         bearing_turn16: where it looks, counter-clockwise from forward, 1/65536 turn.
-        half_width_turn16: half of its field of view; 0 is a thin ray.
+        half_width_turn16: half of its field of view; 0 is a thin ray. A reading of a wide beam came from somewhere in
+            it (``mapping.rays.fan``); a VL53L0X sees 25 degrees in all (its data sheet, section 1.1), so 2276.
     """
 
     x_mm: int
@@ -45,7 +52,7 @@ class Sensor:
         max_range_mm: a reading beyond it is "nothing in range" and frees its ray up to here.
 
     Raises:
-        ValueError: no beams, too many, or a number that cannot be published.
+        ValueError: no beams, too many, too wide ones, or a number that cannot be published.
     """
 
     beams: tuple[Beam, ...]
@@ -63,8 +70,15 @@ class Sensor:
                 raise ValueError(f"sensor: a beam starts at ({beam.x_mm}, {beam.y_mm}) mm, expected within 32.767 m")
             if not 0 <= beam.bearing_turn16 < FULL_TURN:
                 raise ValueError(f"sensor: a beam's bearing is {beam.bearing_turn16}, expected 0 to {FULL_TURN - 1}")
-            if beam.half_width_turn16 != 0:
-                raise ValueError("sensor: beams with a width are not supported; set half_width to 0")
+            if not 0 <= beam.half_width_turn16 <= MAX_HALF_WIDTH_TURN16:
+                raise ValueError(
+                    f"sensor: half_width {beam.half_width_turn16}/65536 turn, expected 0 to {MAX_HALF_WIDTH_TURN16}"
+                )
+        if (total := sum(beam.half_width_turn16 for beam in self.beams)) > MAX_WIDTHS_TURN16:
+            raise ValueError(
+                f"sensor: half_widths of {total}/65536 turn in all, "
+                f"expected at most {MAX_WIDTHS_TURN16} (two turns of view)"
+            )
 
     @property
     def table(self) -> NDArray[np.int64]:

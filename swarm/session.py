@@ -16,6 +16,7 @@ import msgpack
 from mapping.evidence import EvidenceModel
 from mapping.lattice import Lattice
 from mapping.pose import QuantisedPose
+from mapping.rays import fan
 from mapping.sensor import Beam, Sensor
 from swarm.drops import Drop
 from swarm.limits import MAX_COORDINATE_MM, MAX_SCANS, MAX_VISITS
@@ -70,7 +71,8 @@ class Descriptor:
     def most_scans(self) -> int:
         """How many scans one update may carry: few, if they have many long rays."""
         longest = self.sensor.max_range_mm // self.rules.lattice.cell_mm + 2
-        return max(1, min(MAX_SCANS, MAX_VISITS // (len(self.sensor.beams) * longest)))
+        rays = len(fan(self.sensor, self.rules.lattice).beam)
+        return max(1, min(MAX_SCANS, MAX_VISITS // (rays * longest)))
 
     def encode(self) -> bytes:
         """The descriptor's bytes, by which it is compared and forwarded unchanged."""

@@ -16,6 +16,7 @@ import typer
 
 from agent import cli
 
+WORLDS = ", ".join(sorted(file.stem for file in (Path(cli.__file__).parent / "worlds").glob("*.yaml")))
 GOOD_LINE = "FLASER 2 1.0 2.0 0 0 0 0 0 0 7.5 host 7.5\n"
 
 
@@ -88,7 +89,7 @@ def test_orion_alone_and_its_help_list_the_commands(orion) -> None:
     for said in (orion(), orion("--help"), orion("map")):
         assert said.status in {0, 2}  # typer's choice differs by version where no word is given
     text = orion("--help").out
-    assert all(word in text for word in ("demo", "replay", "agent", "observe", "map"))
+    assert all(word in text for word in ("demo", "replay", "agent", "observe", "simulate", "map"))
     assert "--supervised" not in orion("agent", "--help").out
 
 
@@ -115,6 +116,7 @@ def test_help_does_not_wait_for_heavy_imports() -> None:
         ["agent"],
         ["agent", "--robot", "r1"],
         ["observe", "extra"],
+        ["simulate"],
     ],
     ids=" ".join,
 )
@@ -179,11 +181,13 @@ TOMLS = {
 
 
 @pytest.mark.parametrize("name", TOMLS)
-@pytest.mark.parametrize("command", [["demo"], ["agent", "--robot", "r1"], ["observe"]], ids=lambda words: words[0])
+@pytest.mark.parametrize(
+    "command", [["demo"], ["agent", "--robot", "r1"], ["observe"], ["simulate"]], ids=lambda words: words[0]
+)
 def test_a_bad_configuration_is_one_line(orion, tmp_path: Path, out: Path, command: list[str], name: str) -> None:
     text, words = TOMLS[name]
     (tmp_path / "lab.toml").write_text(text)
-    folder = [] if command[0] == "agent" else ["--out", out]
+    folder = ["--out", out] if command[0] in {"demo", "observe"} else []
     assert_one_line(orion(*command, "-c", tmp_path / "lab.toml", *folder), *words)
     assert not out.exists()
 
@@ -198,7 +202,7 @@ def test_a_bad_configuration_is_one_line(orion, tmp_path: Path, out: Path, comma
         (["demo", "--cell", "0.0205"], "0.0205 m is not a whole number of millimetres"),
         (["demo", "--cell", "nan"], "--cell: cell: input should be a finite number"),
         (["demo", "--robots", "3"], "--robots: is 3, but world 'paper' has 2 starts"),
-        (["demo", "--world", "atlantis"], "world atlantis: there is none of that name; use paper, rooms, or a YAML"),
+        (["demo", "--world", "atlantis"], f"world atlantis: there is none of that name; use {WORLDS}, or a YAML"),
         (["demo", "--world", "atlantis.yaml"], "atlantis.yaml: no such file or directory"),
         (["demo", "--radio", "loud"], "--radio: radio: input should be 'lan', got 'loud'"),
         (["demo", "--transport", "pigeon"], "--transport: transport: input should be 'zenoh'"),
@@ -232,7 +236,9 @@ def test_an_occupied_port_is_one_line_before_anything_is_written(orion, tmp_path
         said = orion("demo", "--base-port", taken, "--out", out)
         assert_one_line(said, f"robots.r1: 127.0.0.1:{taken}: address already in use")
         assert not out.exists()
-        (tmp_path / "lab.toml").write_text(f"base_port = {taken}\n[robots.r1]\n")
+        (tmp_path / "run.log").write_text(GOOD_LINE)
+        body = 'body = {kind = "recording", path = "run.log"}'
+        (tmp_path / "lab.toml").write_text(f"base_port = {taken}\n[robots.r1]\n{body}\n")
         said = orion("agent", "-c", tmp_path / "lab.toml", "--robot", "r1")
         assert_one_line(said, f"robots.r1: 127.0.0.1:{taken}: address already in use")
 
@@ -259,8 +265,7 @@ def test_an_agents_bad_body_is_one_line(orion, tmp_path: Path, port: int) -> Non
         'kind = "recording", path = "none.log"': "none.log: there is no such file",
         'kind = "recording", path = "run.log", robot = 1': "run.log: has 1 robots",
         'kind = "recording", path = "run.log", part = 2': "part 2 of 1",
-        'kind = "simulated", index = 9': "it has 2 starts, there is none for robot 10",
-        'kind = "simulated", world = "atlantis"': "there is none of that name",
+        'kind = "serial", port = "nonsense://1"': "robots.r1.body.port: ",
     }.items():
         (tmp_path / "lab.toml").write_text(f"base_port = {port}\n[robots.r1]\nbody = {{{body}}}\n")
         assert_one_line(orion("agent", "-c", tmp_path / "lab.toml", "--robot", "r1"), what)
@@ -272,17 +277,17 @@ def test_an_observer_of_nobody_is_told_so(orion, out: Path) -> None:
 
 
 @pytest.mark.processes
-def test_what_only_a_robot_finds_out_is_one_line_and_leaves_the_last_map_alone(
+def test_what_only_a_process_finds_out_is_one_line_and_leaves_the_last_map_alone(
     orion, tmp_path: Path, out: Path, port: int
 ) -> None:
     """The observer once wrote its empty map over the last one, and the new configuration stood beside it."""
-    world = "walls: [[0, 0, 1, 0]]\nstarts: [{x: 0, y: 1, yaw_deg: 0, waypoints: [[999, 1]]}]\n"
-    (tmp_path / "far.yaml").write_text(world)
     out.mkdir()
-    (out / "map.png").write_bytes(b"the last map")
-    said = orion("demo", "--world", tmp_path / "far.yaml", "--base-port", port, "--out", out)
-    assert_one_line(said, "the way takes 9990 s, at most 3600 s are simulated")
-    assert {path.name: path.read_bytes() for path in out.iterdir()} == {"map.png": b"the last map"}
+    before = {"map.png": b"the last map", "r1.tty": b"a file of that name"}
+    for name, content in before.items():
+        (out / name).write_bytes(content)
+    said = orion("demo", "--robots", 1, "--base-port", port, "--out", out)
+    assert_one_line(said, "r1.tty: is a file, and a robot's port is to have that name; move it away")
+    assert {path.name: path.read_bytes() for path in out.iterdir()} == before
 
 
 @pytest.mark.processes

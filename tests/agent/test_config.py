@@ -12,8 +12,9 @@ import tomli_w
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from agent.config import Config, RecordedBody, SimulatedBody, load, resolve
+from agent.config import Config, RecordedBody, SerialBody, SimulatedNoise, Simulation, load, resolve
 from agent.errors import UserError
+from agent.senses import NO_NOISE, ORION_NOISE
 from mapping.lattice import MAX_RAY_CELLS
 from mapping.pose import QuantisedPose
 from mapping.sensor import orion
@@ -92,11 +93,16 @@ def test_a_whole_configuration_is_understood(tmp_path: Path) -> None:
         first_deg = -90
         step_deg = 1
         max_range = 8
+        [simulation]
+        world = "rooms"
+        seed = 3
+        speed = "max"
+        noise = {slip = 0.1}
         [robots.r2]
         host = "10.0.0.2"
         start = {x = 2.150, y = 1.450, yaw_deg = 10.0}
         publish = "tiles"
-        body = {kind = "simulated", world = "rooms", index = 3, speed = "max"}
+        body = {kind = "serial", port = "/dev/ttyACM0", baudrate = 57600, waypoints = [[1, 2.5]]}
         [robots.r1]
         body = {kind = "recording", path = "/data/run.log", part = 2, parts = 3, poses = "slam", speed = 4}
     """)
@@ -109,7 +115,10 @@ def test_a_whole_configuration_is_understood(tmp_path: Path) -> None:
     assert start is not None
     assert start.quantised() == QuantisedPose(2150, 1450, round(10 / 360 * 65536))
     assert config.robots["r1"].start is None
-    assert config.robots["r2"].body == SimulatedBody(kind="simulated", world="rooms", index=3, speed="max")
+    assert config.robots["r2"].body == SerialBody(
+        kind="serial", port="/dev/ttyACM0", baudrate=57_600, max_range=0.8, drive=True, waypoints=[(1.0, 2.5)]
+    )
+    assert config.simulation == Simulation(world="rooms", seed=3, speed="max", noise=SimulatedNoise(slip=0.1))
     body = config.robots["r1"].body
     assert isinstance(body, RecordedBody)
     assert (body.part, body.parts, body.poses, body.speed) == (2, 3, "slam", 4.0)
@@ -122,23 +131,43 @@ def test_paths_are_relative_to_the_file_that_names_them(tmp_path: Path, monkeypa
         kind = "recording"
         path = "logs/run.log"
         [robots.r2.body]
-        kind = "simulated"
-        world = "mine.yaml"
+        kind = "serial"
+        port = "r2.tty"
         [robots.r3.body]
-        kind = "simulated"
-        world = "rooms"
+        kind = "serial"
+        port = "socket://10.0.0.3:9000"
         [robots.r4.body]
         kind = "recording"
         path = "/data/run.log"
+        [robots.r5.body]
+        kind = "serial"
+        port = "/dev/ttyACM0"
     """)
     monkeypatch.chdir(tmp_path)
     bodies = [robot.body for robot in load(Path("sub/lab.toml"), {}, {}).robots.values()]
-    assert [getattr(body, "path", None) or getattr(body, "world", None) for body in bodies] == [
+    assert [getattr(body, "path", None) or getattr(body, "port", None) for body in bodies] == [
         str(tmp_path / "sub" / "logs" / "run.log"),
-        str(tmp_path / "sub" / "mine.yaml"),
-        "rooms",
+        str(tmp_path / "sub" / "r2.tty"),
+        "socket://10.0.0.3:9000",
         "/data/run.log",
+        "/dev/ttyACM0",
     ]
+
+
+@pytest.mark.parametrize(
+    ("world", "found"), [("mine.yaml", "sub/mine.yaml"), ("../w/x", "sub/../w/x"), ("rooms", None)]
+)
+def test_a_worlds_file_is_relative_to_the_file_that_names_it(tmp_path: Path, world: str, found: str | None) -> None:
+    (tmp_path / "sub").mkdir()
+    (tmp_path / "sub" / "lab.toml").write_text(f"[simulation]\nworld = '{world}'\n")
+    simulation = load(tmp_path / "sub" / "lab.toml", {}, {}).simulation
+    assert simulation.world == (str(tmp_path / found) if found else world)
+
+
+def test_the_simulations_noise_is_that_of_a_well_kept_orion_unless_told_otherwise() -> None:
+    assert Simulation().build_noise() == ORION_NOISE
+    assert Simulation(ideal=True, noise=SimulatedNoise(slip=0.5)).build_noise() == NO_NOISE
+    assert resolve({"simulation": {"noise": {"heading_deg": 180}}}).simulation.build_noise().heading == math.pi
 
 
 # What is wrong
@@ -164,8 +193,13 @@ def test_paths_are_relative_to_the_file_that_names_them(tmp_path: Path, monkeypa
         ("[robots.r1]\nhots = 'a'", "robots.r1.hots: is no key of the configuration; did you mean host?"),
         ("[robots.r1.start]\nyaw = 90", "robots.r1.start.yaw: is no key of the configuration; did you mean yaw_deg?"),
         (
-            "[robots.r1.body]\nkind = 'simulated'\nsped = 2",
-            "robots.r1.body.sped: is no key of the configuration; did you mean speed?",
+            "[robots.r1.body]\nkind = 'serial'\nport = 'a'\nbaudrat = 2",
+            "robots.r1.body.baudrat: is no key of the configuration; did you mean baudrate?",
+        ),
+        ("[simulation]\nsped = 2", "simulation.sped: is no key of the configuration; did you mean speed?"),
+        (
+            "[simulation.noise]\ndrop_out = 0.1",
+            "simulation.noise.drop_out: is no key of the configuration; did you mean dropout?",
         ),
         (
             "[robots.r1.body]\nkind = 'recording'\npaht = 'run.log'",  # path is missing too, and that says less
@@ -178,12 +212,12 @@ def test_an_unknown_key_at_any_level_names_the_nearest_known_one(complaint, text
     assert complaint(text).startswith(said)
 
 
-@pytest.mark.parametrize("name", ["orion", "laser", "beams", "simulated", "recording", "sensor", "robots", "start"])
+@pytest.mark.parametrize("name", ["orion", "laser", "beams", "serial", "recording", "sensor", "robots", "start"])
 def test_a_robot_may_be_called_like_a_kind_of_thing(complaint, name: str) -> None:
     """Once the robot called orion vanished from the message: "robots.hots"."""
     assert complaint(f"[robots.{name}]\nhots = 'a'").startswith(f"robots.{name}.hots: is no key")
     assert complaint(f"[robots.{name}.start]\nx = nan").startswith(f"robots.{name}.start.x: ")
-    assert complaint(f"[robots.{name}.body]\nkind = 'simulated'\nsed = 1").endswith("did you mean seed?")
+    assert complaint(f"[robots.{name}.body]\nkind = 'serial'\nprot = 'a'").endswith("did you mean port?")
 
 
 def test_a_robot_that_is_declared_twice_is_named(complaint) -> None:
@@ -228,11 +262,19 @@ def test_a_start_that_no_robot_has_is_refused(complaint, key: str, number: str) 
         ("[robots.r1]\nhost = ''", "robots.r1.host: a host is a name or an address"),
         ("[robots.r1]\nhost = '10.0.0.1:7450'", "robots.r1.host: a host is a name or an address"),
         ("[robots.r1]\nhost = '10.0.0.1#iface=eth0'", "robots.r1.host: a host is a name or an address"),
-        ("[robots.r1.body]\nkind = 'ghost'", "robots.r1.body.kind: 'ghost' is unknown; give simulated or recording"),
-        ("[robots.r1.body]\nspeed = 1", "robots.r1.body.kind: is missing; give simulated or recording"),
+        ("[robots.r1.body]\nkind = 'ghost'", "robots.r1.body.kind: 'ghost' is unknown; give serial or recording"),
+        ("[robots.r1.body]\nspeed = 1", "robots.r1.body.kind: is missing; give serial or recording"),
         ("[robots.r1.body]\nkind = 'recording'", "robots.r1.body.path: field required"),
-        ("[robots.r1.body]\nkind = 'simulated'\nseed = -1", "robots.r1.body.seed: input should be"),
-        ("[robots.r1.body]\nkind = 'simulated'\nspeed = 'fast'", "robots.r1.body.speed."),
+        ("[robots.r1.body]\nkind = 'simulated'", "robots.r1.body.kind: 'simulated' is unknown; give serial or"),
+        ("[robots.r1.body]\nkind = 'serial'", "robots.r1.body.port: field required"),
+        ("[robots.r1.body]\nkind = 'serial'\nport = ''", "robots.r1.body.port: string should have at least 1"),
+        ("[robots.r1.body]\nkind = 'serial'\nport = 'a'\nbaudrate = 0", "robots.r1.body.baudrate: input should be"),
+        ("[robots.r1.body]\nkind = 'serial'\nport = 'a'\nwaypoints = [[nan, 1]]", "robots.r1.body.waypoints.0.0: in"),
+        ("[robots.r1.body]\nkind = 'serial'\nport = 'a'\nwaypoints = [[1]]", "robots.r1.body.waypoints.0.1: field r"),
+        ("[simulation]\nseed = -1", "simulation.seed: input should be"),
+        ("[simulation]\nspeed = 'fast'", "simulation.speed."),
+        ("[simulation.noise]\ndropout = 1.5", "simulation.noise.dropout: input should be less than or equal to 1"),
+        ("[simulation.noise]\nheading_drift_time = 0", "simulation.noise.heading_drift_time: input should be"),
         ("[robots.r1.body]\nkind = 'recording'\npath = 'a'\npart = 0", "robots.r1.body.part: input should be"),
         ("robots = 3", "robots: input should be a valid dictionary, got 3"),
         ('"ce\\nll" = 3', "ce\\nll: is no key of the configuration; did you mean cell?"),
@@ -275,13 +317,14 @@ NAMES = st.from_regex(r"[A-Za-z0-9][A-Za-z0-9_-]{0,8}", fullmatch=True).filter(l
 DEGREES = st.floats(-36_000, 36_000)
 SPEEDS = st.floats(1e-3, 1e6) | st.just("max")
 RANGES = st.floats(0.01, 3.0)
+METRES = st.floats(-1e6, 1e6)
 BODIES = st.fixed_dictionaries(
-    {"kind": st.just("simulated")},
+    {"kind": st.just("serial"), "port": st.text(st.characters(exclude_categories=["Cs"]), min_size=1)},
     optional={
-        "world": st.text(st.characters(exclude_categories=["Cs"])),
-        "index": st.integers(0, 99),
-        "seed": st.integers(0, 2**70),
-        "speed": SPEEDS,
+        "baudrate": st.integers(300, 4_000_000),
+        "max_range": RANGES,
+        "drive": st.booleans(),
+        "waypoints": st.lists(st.tuples(METRES, METRES).map(list), max_size=3),
     },
 ) | st.fixed_dictionaries(
     {"kind": st.just("recording"), "path": st.text(st.characters(exclude_categories=["Cs"]))},
@@ -294,7 +337,6 @@ BODIES = st.fixed_dictionaries(
         "speed": SPEEDS,
     },
 )
-METRES = st.floats(-1e6, 1e6)
 ROBOTS = st.fixed_dictionaries(
     {},
     optional={
@@ -329,6 +371,16 @@ SENSORS = (
         }
     )
 )
+SIMULATIONS = st.fixed_dictionaries(
+    {},
+    optional={
+        "world": st.text(st.characters(exclude_categories=["Cs"])),
+        "seed": st.integers(0, 2**70),
+        "speed": SPEEDS,
+        "ideal": st.booleans(),
+        "noise": st.fixed_dictionaries({}, optional={"dropout": st.floats(0, 1), "slip": st.floats(0, 0.9)}),
+    },
+)
 CONFIGS = st.fixed_dictionaries(
     {},
     optional={
@@ -338,6 +390,7 @@ CONFIGS = st.fixed_dictionaries(
         "publish": st.sampled_from(["auto", "scans", "tiles"]),
         "evidence": st.fixed_dictionaries({}, optional={"occupied": st.floats(0.01, 100), "limit": st.floats(0, 100)}),
         "sensor": SENSORS,
+        "simulation": SIMULATIONS,
         "robots": st.dictionaries(NAMES, ROBOTS, max_size=4),
     },
 )
@@ -355,8 +408,8 @@ def test_the_resolved_configuration_loads_again_as_itself(table: dict[str, Any])
         anchored = Path(folder) / "once.toml"
         anchored.write_bytes(again.toml())
         assert load(anchored, {}, {}) == again
-    bodies = {"robots": {robot: {"body"} for robot in config.robots}}
-    assert again.model_dump(exclude=bodies) == config.model_dump(exclude=bodies)
+    paths = {"robots": {robot: {"body"} for robot in config.robots}, "simulation": {"world"}}
+    assert again.model_dump(exclude=paths) == config.model_dump(exclude=paths)
     assert again.roster == config.roster
 
 
@@ -378,12 +431,13 @@ JUNK = st.recursive(
     | st.floats()
     | st.text(st.characters(exclude_categories=["Cs"]), max_size=9)
     | st.datetimes()
-    | st.sampled_from(["orion", "laser", "beams", "simulated", "recording", 1e308, -1e308, 10**400, math.nan]),
+    | st.sampled_from(["orion", "laser", "beams", "serial", "recording", 1e308, -1e308, 10**400, math.nan]),
     lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=5), inner, max_size=3),
     max_leaves=8,
 )
 KEYS = ("swarm", "cell", "base_port", "evidence", "sensor", "robots", "kind", "beams", "max_range", "first_deg", "r1")
 KEYS += ("step_deg", "bearing_deg", "x", "start", "yaw_deg", "body", "path", "world", "speed", "host", "seed", "free")
+KEYS += ("simulation", "noise", "port", "waypoints", "drive", "dropout")
 
 
 @given(

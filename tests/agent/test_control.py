@@ -68,6 +68,15 @@ def test_a_process_in_a_terminal_goes_at_once_and_tells_a_person_what_is_new(
     ]
 
 
+def test_a_person_is_told_what_is_wrong_with_the_robot_once_until_it_is_something_else(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    control = Control()
+    for trouble in ("", "it is not connected", "it is not connected", "", "it is not connected", "it waits", ""):
+        control.tell("status", around=0, body=trouble)
+    assert capsys.readouterr().err.splitlines() == ["orion: it is not connected", "orion: it waits"]
+
+
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 @pytest.mark.usefixtures("signals")
 def test_the_first_signal_stops_it_cleanly_and_the_second_at_once(number: signal.Signals) -> None:

@@ -131,17 +131,20 @@ def cast(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(agent.fleet, "_STALLED", 0.3)
     monkeypatch.setattr(agent.fleet, "_LEAVING", 0.5)
 
-    def perform(**roles: dict[str, Callable[[Actor], None]]) -> tuple[dict[str, Any], dict[str, Actor]]:
+    def perform(
+        *, simulated: bool = False, **roles: dict[str, Callable[[Actor], None]]
+    ) -> tuple[dict[str, Any], dict[str, Actor]]:
         def popen(words: list[str], **options: Any) -> Actor:
             assert "--supervised" in words
             assert str(Path("out") / "orion.toml") in words
-            name = words[words.index("--robot") + 1] if "--robot" in words else "observer"
+            command = words[words.index("agent") + 1]
+            name = {"observe": "observer", "simulate": "world"}.get(command) or words[words.index("--robot") + 1]
             actors[name] = Actor(name, GOOD | roles.get(name, {}))
             return actors[name]
 
         monkeypatch.setattr(agent.fleet.subprocess, "Popen", popen)
         with Fleet(resolve({"robots": {"r1": {}, "r2": {}}}), Path("out")) as fleet:
-            fleet.start()
+            fleet.start(simulated=simulated)
             settled = fleet.run(Silence())
             fleet.finish()
             summary = fleet.summary(settled=settled, seconds=1.23456)
@@ -272,3 +275,39 @@ def test_a_run_that_is_interrupted_before_everybody_has_started_still_has_a_summ
     fleet = Fleet(resolve({"robots": {"r1": {}}}), tmp_path)
     summary = fleet.summary(settled=False, seconds=0.1)
     assert (summary["converged"], summary["robots"], summary["observer"]) == (False, [], {})
+
+
+# The simulated world
+
+
+def reports_the_world(actor: Actor) -> None:
+    actor.says("report", world="paper", simulated_seconds=9.5, robots=[])
+    actor.dies()
+
+
+WORLD = {"start": lambda actor: actor.says("ready", ports={}), "finish": reports_the_world}
+
+
+def test_the_world_is_a_process_that_is_no_member(cast) -> None:
+    """It publishes nothing, so nobody waits to meet it, and it has no map to agree with."""
+    summary, actors = cast(simulated=True, world=WORLD)
+    assert summary["converged"] is True
+    assert [robot["id"] for robot in summary["robots"]] == ["r1", "r2"]
+    assert summary["simulation"] == {"world": "paper", "simulated_seconds": 9.5, "robots": []}
+    assert next(iter(actors)) == "world"  # the robots find their ports
+    assert set(actors["world"].orders) == {"kernel", "go", "finish"}
+    assert not actors["world"].killed
+
+
+def test_without_its_world_a_run_is_over_and_the_robots_report(cast) -> None:
+    summary, actors = cast(simulated=True, world=WORLD | {"go": Actor.dies}, r1={"go": silent}, r2={"go": silent})
+    assert (summary["converged"], summary["simulation"]) == (False, {"lost": True})
+    assert lost(summary) == []
+    assert summary["observer"]["map_digest"] == DIGEST
+    assert not any(actor.killed for actor in actors.values())
+
+
+def test_what_the_world_cannot_do_is_said_in_its_words(cast) -> None:
+    with pytest.raises(UserError, match="is none"):
+        cast(simulated=True, world={"start": complains})
+    assert all("finish" not in actor.orders for actor in cast.actors.values())

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from agent.config import Config, RecordedBody, Robot, SimulatedBody, load, resolve
+from agent.config import Config, RecordedBody, Robot, SerialBody, load, resolve
 from agent.errors import UserError
 from agent.launch import demo_config, replay_config
 from agent.world import load_world
@@ -31,8 +31,8 @@ def replay(base: Config, *recordings: Path, **options: Any) -> Config:
     )
 
 
-def simulated(robot: Robot) -> SimulatedBody:
-    assert isinstance(robot.body, SimulatedBody)
+def wired(robot: Robot) -> SerialBody:
+    assert isinstance(robot.body, SerialBody)
     return robot.body
 
 
@@ -47,17 +47,23 @@ def recorded(robot: Robot) -> RecordedBody:
 def test_a_demo_has_a_robot_for_each_of_the_worlds_starts() -> None:
     config = demo(Config(), world="rooms", seed=7)
     assert config.roster == ["r1", "r2", "r3", "r4"]
-    for k, (robot, start) in enumerate(zip(config.robots.values(), load_world("rooms").starts, strict=True)):
+    world = load_world("rooms")
+    for robot, start in zip(config.robots.values(), world.starts, strict=True):
         assert robot.start is not None
         assert (robot.start.x, robot.start.y) == (start.x, start.y)
         assert math.isclose(math.radians(robot.start.yaw_deg), start.yaw, abs_tol=1e-9)
-        assert simulated(robot) == SimulatedBody(kind="simulated", world="rooms", index=k, seed=7, speed=10.0)
+    assert [wired(robot).port for robot in config.robots.values()] == ["r1.tty", "r2.tty", "r3.tty", "r4.tty"]
+    for robot, waypoints in zip(config.robots.values(), world.waypoints, strict=True):
+        assert wired(robot).waypoints == [tuple(waypoint) for waypoint in waypoints.tolist()]
+    assert (config.simulation.world, config.simulation.seed, config.simulation.speed) == ("rooms", 7, 10.0)
 
 
 def test_a_demo_of_fewer_robots_takes_the_first_starts() -> None:
     config = demo(Config(), world="rooms", robots=2, speed="max")
-    assert [simulated(robot).index for robot in config.robots.values()] == [0, 1]
-    assert [simulated(robot).speed for robot in config.robots.values()] == ["max", "max"]
+    assert config.roster == ["r1", "r2"]
+    starts = [robot.start for robot in config.robots.values()]
+    assert [(start.x, start.y) for start in starts if start] == [(s.x, s.y) for s in load_world("rooms").starts[:2]]
+    assert config.simulation.speed == "max"
 
 
 def test_the_files_roster_and_starts_stand_in_a_demo() -> None:
@@ -72,7 +78,17 @@ def test_the_files_roster_and_starts_stand_in_a_demo() -> None:
     assert (b.start.x, b.start.y, b.start.yaw_deg, b.publish) == (1.0, 0.0, 0.0, "tiles")  # believed, not true
     assert a.start is not None
     assert (a.start.x, a.start.y, a.start.yaw_deg, a.host) == (2.15, 1.45, 10.0, "127.0.0.2")
-    assert [simulated(robot).index for robot in (b, a)] == [0, 1]
+    assert [wired(robot).port for robot in (b, a)] == ["b.tty", "a.tty"]
+    first, second = (waypoints.tolist() for waypoints in load_world("paper").waypoints)
+    assert wired(b).waypoints == [tuple(waypoint) for waypoint in first]
+    assert wired(a).waypoints == [tuple(waypoint) for waypoint in second]
+
+
+def test_the_files_noise_stands_in_a_demo_that_chooses_world_seed_and_speed() -> None:
+    base = resolve({"simulation": {"world": "rooms", "seed": 5, "noise": {"slip": 0.2}}})
+    config = demo(base, seed=9)
+    assert config.simulation.noise == base.simulation.noise
+    assert (config.simulation.world, config.simulation.seed) == ("paper", 9)
 
 
 @pytest.mark.parametrize("robots", [-1, 0, 3])
@@ -100,8 +116,7 @@ def test_a_worlds_file_is_found_from_anywhere(tmp_path: Path, monkeypatch: pytes
         "walls: [[0, 0, 1, 0]]\nstarts: [{x: 0, y: 1, yaw_deg: 0, waypoints: [[1, 1]]}]\n"
     )
     monkeypatch.chdir(tmp_path)
-    (robot,) = demo(Config(), world="mine.yaml").robots.values()
-    assert simulated(robot).world == str(tmp_path / "mine.yaml")
+    assert demo(Config(), world="mine.yaml").simulation.world == str(tmp_path / "mine.yaml")
 
 
 # replay
@@ -204,6 +219,15 @@ def test_a_nano_swarm_folder_is_as_many_robots_as_it_holds(tmp_path: Path) -> No
 
 def test_what_is_resolved_loads_again_as_itself(tmp_path: Path) -> None:
     file = tmp_path / "orion.toml"
-    for config in (demo(Config(), world="rooms"), replay(Config(), log(tmp_path / "a.log"), robots=3, max_range=3.0)):
-        file.write_bytes(config.toml())
-        assert load(file, {}, {}) == config
+    config = replay(Config(), log(tmp_path / "a.log"), robots=3, max_range=3.0)
+    file.write_bytes(config.toml())
+    assert load(file, {}, {}) == config
+
+
+def test_a_resolved_demo_finds_its_ports_beside_it_and_makes_the_same_demo_again(tmp_path: Path) -> None:
+    file = tmp_path / "orion.toml"
+    config = demo(Config(), world="rooms")
+    file.write_bytes(config.toml())
+    loaded = load(file, {}, {})
+    assert [wired(robot).port for robot in loaded.robots.values()] == [str(tmp_path / f"r{k}.tty") for k in range(1, 5)]
+    assert demo(loaded, world="rooms") == config

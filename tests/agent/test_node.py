@@ -40,6 +40,7 @@ class Body:
         self.scans = Scans(np.arange(count, dtype=np.int64) * 100, poses, ranges)
         self.given = 0
         self.asked: list[float] = []
+        self.patience, self.status = 0.02, ""
 
     def read(self, until: float) -> Scans:
         self.asked.append(until)
@@ -55,6 +56,9 @@ class Body:
     @property
     def done(self) -> bool:
         return self.given == len(self.scans)
+
+    def close(self) -> None:
+        pass
 
     def digest(self, rules: Rules = RULES) -> str:
         return map_digest(integrated({}, self.scans, self.sensor, rules.model, rules.lattice)).hex()
@@ -153,7 +157,9 @@ def test_a_body_moves_when_it_may_and_at_its_speed(time) -> None:
     control = Conductor(time, lambda control: time.now > 0.5 and not control.go, go=False)
     node = robot(time.network.bus("r1"), body, speed=10.0)
     node.run(control)
-    assert body.asked == []
+    assert set(body.asked) == {0.0}  # a robot is listened to before it may move
+    assert body.given == 0
+    body.asked.clear()
     began = time.now
     node.run(Conductor(time, done))
     assert body.asked[0] == 0.0  # its own time begins when it may go
@@ -170,6 +176,26 @@ def test_a_body_as_fast_as_it_can_is_read_to_infinity_and_still_listens(time) ->
     node.run(Conductor(time, done))
     assert set(body.asked) == {math.inf}
     assert heard[:5] == [BATCH, 2 * BATCH, 3 * BATCH, 4 * BATCH, 5 * BATCH]
+
+
+def test_a_body_that_is_done_is_still_read_but_its_scans_no_longer_count(time) -> None:
+    """A robot that stands at its last waypoint goes on sensing, and must be told to go on standing."""
+    body = Body()
+    node = robot(time.network.bus("r1"), body, speed=math.inf)
+    node.run(Conductor(time, done))
+    asked, digest = len(body.asked), node.summary()["map_digest"]
+    body.read = lambda until: (body.asked.append(until), body.scans[:1])[1]  # type: ignore[method-assign]
+    node.run(Conductor(time, lambda control: len(body.asked) >= asked + 3))
+    assert node.scans == 20
+    assert node.summary()["map_digest"] == digest
+
+
+def test_what_is_wrong_with_a_body_is_told(time) -> None:
+    body = Body()
+    body.status = "the robot is not connected"
+    control = Conductor(time, lambda control: bool(control.told))
+    robot(time.network.bus("r1"), body).run(control)
+    assert control.told[0]["body"] == "the robot is not connected"
 
 
 def test_what_was_sensed_last_is_published_when_it_is_told_to_stop(time) -> None:
@@ -230,7 +256,7 @@ def test_statuses_tell_who_is_around_how_far_it_is_and_what_it_knows(time) -> No
     node.run(control)
     (session,) = node.peer.replicas
     first, last = control.told[0], control.told[-1]
-    assert first.keys() == last.keys() == {"around", "progress", "done", "positions", "refused", "not_placed"}
+    assert first.keys() == last.keys() == {"around", "progress", "body", "done", "positions", "refused", "not_placed"}
     assert (first["done"], last["done"]) == (False, True)
     assert last["around"] == 1
     assert tuple(last["progress"]) == (20, 20)

@@ -42,7 +42,13 @@ def test_the_table_has_a_row_for_each_beam():
         ((Beam(0, -32_768, 0),), 800, "a beam starts at (0, -32768) mm, expected within 32.767 m"),
         ((Beam(0, 0, 65_536),), 800, "sensor: a beam's bearing is 65536, expected 0 to 65535"),
         ((Beam(0, 0, -1),), 800, "sensor: a beam's bearing is -1, expected 0 to 65535"),
-        ((Beam(0, 0, 0, 1),), 800, "sensor: beams with a width are not supported; set half_width to 0"),
+        ((Beam(0, 0, 0, -1),), 800, "sensor: half_width -1/65536 turn, expected 0 to 16384"),
+        ((Beam(0, 0, 0, 16_385),), 800, "sensor: half_width 16385/65536 turn, expected 0 to 16384"),
+        (
+            (*(Beam(0, 0, 0, 16_384),) * 4, Beam(0, 0, 0, 1)),
+            800,
+            "sensor: half_widths of 65537/65536 turn in all, expected at most 65536 (two turns of view)",
+        ),
     ],
 )
 def test_a_sensor_that_cannot_be_published_is_refused(beams, max_range_mm, message):
@@ -53,3 +59,4 @@ def test_a_sensor_that_cannot_be_published_is_refused(beams, max_range_mm, messa
 def test_the_extremes_are_sensors():
     Sensor((Beam(32_767, -32_767, 65_535),) * 4096, 65_000)
     Sensor((Beam(0, 0, 0),), 1)
+    Sensor((Beam(0, 0, 0, 16_384),) * 4, 800)

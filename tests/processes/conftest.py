@@ -142,9 +142,9 @@ class Command:
         result: dict[str, Any] = json.loads(self.lines[-1])
         return result
 
-    def report(self) -> dict[str, Any]:
+    def report(self, within: float = PATIENCE) -> dict[str, Any]:
         """Wait for its good end; gives its result."""
-        assert self.ends() == 0, self.errors
+        assert self.ends(within) == 0, self.errors
         return self.result
 
     def finish(self) -> dict[str, Any]:
@@ -212,7 +212,7 @@ class Processes:
         return family[1:]
 
     def members(self, pid: int) -> dict[str, int]:
-        """The swarm's processes that a ``demo`` or ``replay`` has started: the robots' by id, and ``observer``."""
+        """The processes that a ``demo`` or ``replay`` has started: the robots' by id, ``observer`` and ``world``."""
         found = {}
         for child in self.children(pid):
             with contextlib.suppress(OSError):
@@ -221,6 +221,8 @@ class Processes:
                     found[words[words.index("--robot") + 1]] = child
                 elif "observe" in words:
                     found["observer"] = child
+                elif "simulate" in words:
+                    found["world"] = child
         return found
 
     def eyes_on(self, launcher: Command, toml: Path) -> Command:
@@ -279,9 +281,9 @@ class Swarm:
                     stack.enter_context(socket.socket()).bind(("127.0.0.1", port))
                 return first
 
-    def toml(self, robots: dict[str, Any], **keys: Any) -> Path:
+    def toml(self, robots: dict[str, Any], *, name: str = "swarm.toml", **keys: Any) -> Path:
         """Write the swarm's TOML."""
-        path = self.folder / "swarm.toml"
+        path = self.folder / name
         path.write_bytes(tomli_w.dumps({"base_port": self.base_port, **keys, "robots": robots}).encode())
         return path
 

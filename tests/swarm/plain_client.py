@@ -50,14 +50,14 @@ class Descriptor:
     free: int
     limit: int
     max_range_mm: int
-    beams: list[tuple[int, int, int]]
+    beams: list[tuple[int, int, int, int]]
     start: tuple[int, int, int] | None
 
 
 def decode_descriptor(data: bytes) -> Descriptor:
     robot, session, cell, occupied, free, limit, rule, far, beams, start = msgpack.unpackb(data, raw=True)
     assert rule == 0
-    table = [(x, y, bearing) for x, y, bearing, _ in struct.iter_unpack("<hhHH", beams)]
+    table = list(struct.iter_unpack("<hhHH", beams))
     pose = struct.unpack("<iiH", start) if start else None
     return Descriptor(robot.decode(), session, cell, occupied, free, limit, far, table, pose)
 
@@ -153,18 +153,32 @@ def ray(start: tuple[int, int], end: tuple[int, int]) -> list[tuple[int, int]]:
     return [(start[0] + q(k, dx), start[1] + q(k, dy)) for k in range(n + 1)]
 
 
+def fan(half_width: int, of: Descriptor) -> list[int]:
+    if half_width == 0:
+        return [0]
+    largest = (65536 * 113 * of.cell_mm) // (710 * of.max_range_mm)
+    m = (half_width + largest - 1) // largest
+    return [k * (half_width // m) for k in range(-m, m + 1)]
+
+
 def rays(scan: Scan, of: Descriptor) -> Iterator[tuple[list[tuple[int, int]], bool]]:
+    """Each ray's cells that it says something of, and whether the last of them is a hit."""
     _, x, y, yaw, ranges = scan
     unit = 16384 * of.cell_mm
-    for (bx, by, bearing), reading in zip(of.beams, ranges, strict=True):
+    for (bx, by, bearing, half_width), reading in zip(of.beams, ranges, strict=True):
         if reading == 0:
             continue
         reach = of.max_range_mm if reading == 65535 else reading
         x0 = 16384 * x + bx * cosine(yaw) - by * sine(yaw)
         y0 = 16384 * y + bx * sine(yaw) + by * cosine(yaw)
-        x1 = x0 + reach * cosine(yaw + bearing)
-        y1 = y0 + reach * sine(yaw + bearing)
-        yield ray((x0 // unit, y0 // unit), (x1 // unit, y1 // unit)), reading != 65535
+        for offset in fan(half_width, of):
+            x1 = x0 + reach * cosine(yaw + bearing + offset)
+            y1 = y0 + reach * sine(yaw + bearing + offset)
+            cells = ray((x0 // unit, y0 // unit), (x1 // unit, y1 // unit))
+            if reading != 65535 and offset != 0:
+                yield cells[:-1], False  # something may be there
+            else:
+                yield cells, reading != 65535
 
 
 # --- section 6

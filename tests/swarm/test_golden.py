@@ -26,11 +26,11 @@ import pytest
 
 from mapping.evidence import EvidenceModel
 from mapping.integrate import integrated
-from mapping.lattice import Lattice
+from mapping.lattice import Cells, Lattice, TileKey
 from mapping.pose import QuantisedPose
 from mapping.raster import raster
 from mapping.scan import INVALID, NO_RETURN, Scans
-from mapping.sensor import Sensor, laser, orion
+from mapping.sensor import Beam, Sensor, laser, orion
 from mapping.tiles import map_digest, summed
 from swarm.messages import Session, Update, decode, encode
 from swarm.replica import Replica
@@ -297,7 +297,7 @@ def test_from_the_plain_numbers_alone_plain_python_reaches_the_golden_map(plain_
             if start[0] != "-":
                 maps.append(tiles)
         elif word == "beam":
-            of.beams.append(tuple(int(each) for each in rest))
+            of.beams.append((*(int(each) for each in rest), 0))
         elif word == "scan":
             stamp, x, y, yaw, *ranges = (int(each) for each in rest)
             plain_client.add_scan(tiles, (stamp, x, y, yaw, ranges), of)
@@ -310,6 +310,28 @@ def test_from_the_plain_numbers_alone_plain_python_reaches_the_golden_map(plain_
         for key, tile in tiles.items():
             total[key] = [a + b for a, b in zip(total.get(key, [0] * 1024), tile, strict=True)]
     assert plain_client.map_digest(total) == golden.map_digest
+
+
+@pytest.mark.parametrize("limit", [0, 150])
+def test_beams_with_a_width_are_worth_the_same_in_plain_python(plain_client, limit):
+    sensor = Sensor((Beam(30, 0, 0, 2276), Beam(-5, 7, 16_384, 900), Beam(0, 0, 40_000, 0)), 800)
+    model, lattice = EvidenceModel(limit=limit), Lattice(20)
+    descriptor = Descriptor("r1", bytes(8), Rules(lattice, model), sensor, QuantisedPose(0, 0, 0))
+    of = plain_client.decode_descriptor(descriptor.encode())
+    scans = wander(3, 12, sensor)
+    near = Scans(scans.stamps_ms[:1], scans.poses[:1], np.array([[5, 1, 1]], np.uint16))  # rays of one cell
+    tiles: dict[tuple[int, int], list[int]] = {}
+    ours: dict[TileKey, Cells] = {}
+    for piece in (scans, near):
+        ours |= integrated(ours, piece, sensor, model, lattice)
+        for pose, ranges in zip(piece.poses.tolist(), piece.ranges.tolist(), strict=True):
+            plain_client.add_scan(tiles, (0, *pose, ranges), of)
+    assert plain_client.map_digest(tiles) == map_digest(ours).hex()
+
+
+def test_the_documented_fan_in_plain_python(plain_client):
+    of = plain_client.Descriptor("r1", bytes(8), 20, 85, -40, 0, 800, [], None)
+    assert plain_client.fan(2276, of) == [252 * k for k in range(-9, 10)]
 
 
 def test_the_logs_hold_what_they_are_meant_to(golden):

@@ -15,7 +15,7 @@ small = st.integers(-32767, 32767)
 angle = st.integers(0, 65535)
 place = st.integers(-MAX_COORDINATE_MM, MAX_COORDINATE_MM)
 models = st.builds(EvidenceModel, st.integers(1, 10_000), st.integers(-10_000, -1), st.integers(0, 10_000))
-beams = st.lists(st.builds(Beam, small, small, angle, st.just(0)), min_size=1, max_size=20).map(tuple)
+beams = st.lists(st.builds(Beam, small, small, angle, st.integers(0, 3276)), min_size=1, max_size=20).map(tuple)
 
 
 @st.composite
@@ -45,7 +45,7 @@ def test_decode_after_encode_is_identity(descriptor):
 def test_the_plain_client_reads_the_same(plain_client, descriptor):
     found = plain_client.decode_descriptor(descriptor.encode())
     assert (found.robot, found.session, found.start) == (descriptor.robot, descriptor.session, descriptor.start)
-    assert found.beams == [beam[:3] for beam in descriptor.sensor.beams]
+    assert found.beams == [tuple(beam) for beam in descriptor.sensor.beams]
 
 
 def decode_or_none(data):
@@ -100,7 +100,8 @@ FIELDS = msgpack.unpackb(PLAIN.encode())
         (8, b""),
         (8, bytes(9)),
         (8, bytes(8 * 4097)),
-        (8, b"\0\0\0\0\0\0\1\0"),
+        (8, b"\0\0\0\0\0\0\1\x40"),  # wider than half a turn
+        (8, b"\0\0\0\0\0\0\0\x40" * 5),  # two and a half turns of view
         (8, b"\0\x80\0\0\0\0\0\0"),
         (9, bytes(9)),
         (9, (MAX_COORDINATE_MM + 1).to_bytes(4, "little") + bytes(6)),
