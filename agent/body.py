@@ -1,10 +1,11 @@
-"""Where a robot's scans come from: the contract of every body."""
+"""Where a robot's readings come from: the contract of every body."""
 
 from __future__ import annotations
 
 from typing import Protocol
 
-from mapping.scan import Scans
+from agent.readings import Readings
+from mapping.pose import QuantisedPose
 from mapping.sensor import Sensor
 
 BATCH = 64
@@ -24,8 +25,15 @@ class Body(Protocol):
     patience: float
     status: str
 
-    def read(self, until: float) -> Scans:
-        """The next scans (at most ``BATCH``) sensed before ``until``, quantised, poses in the common frame.
+    def place(self, start: QuantisedPose) -> None:
+        """The robot's start frame lies there in the common frame, ``T_common_start``, from now on.
+
+        For whoever drives it; its readings stay as they are. Until it is placed it lies at the origin.
+        """
+        ...
+
+    def read(self, until: float) -> Readings:
+        """The next scans (at most ``BATCH``) sensed before ``until``, unrounded, poses in the start frame.
 
         Args:
             until: seconds of the body's own time since it started, 0 before it may; infinity reads as fast as

@@ -12,8 +12,12 @@ from typing import Annotated, Any
 
 import typer
 
+from agent.config_command import app as config_app
 from agent.errors import UserError
+from agent.log_command import app as log_app
 from agent.map_command import app as map_app
+from agent.packaged_worlds import world_names
+from agent.page_options import PageOptions, can_open
 
 _SWITCH_INTERVAL = 0.0005
 """Seconds. With Python's 5 ms a loop that is busy mapping keeps what comes in waiting: p50 3.5 ms instead of 0.8."""
@@ -26,16 +30,34 @@ app = typer.Typer(
     help="One command a robot, one map for the swarm: the same, bit for bit, on every peer, without a server.",
 )
 app.add_typer(map_app, name="map")
+app.add_typer(log_app, name="log")
+app.add_typer(config_app, name="config")
 
 ConfigFile = Annotated[Path | None, typer.Option("-c", "--config", metavar="FILE", help="The swarm's TOML.")]
 Cell = Annotated[float | None, typer.Option(metavar="M", help="Cell size in metres, whole millimetres.")]
 SpeedOption = Annotated[str, typer.Option(metavar="X|max", help="Times real time, or max.")]
 Out = Annotated[Path, typer.Option(metavar="DIR", help="Where the map and the resolved configuration go.")]
 BasePort = Annotated[int | None, typer.Option(metavar="P", help="Robot k listens on P + k (default 7450).")]
-Transport = Annotated[str | None, typer.Option(help="The bus between peers: zenoh.")]
-Radio = Annotated[str | None, typer.Option(metavar="PROFILE", help="What the network can carry: lan.")]
+Transport = Annotated[str | None, typer.Option(metavar="zenoh|zmq", help="The bus between peers.")]
+Radio = Annotated[
+    str | None, typer.Option(metavar="PROFILE", help="What the network can carry: lan, digimesh-1hop, -3hop or -6hop.")
+]
 PublishOption = Annotated[str | None, typer.Option(metavar="FORM", help="auto, scans or tiles.")]
+State = Annotated[Path | None, typer.Option(metavar="DIR", help="Where the map is kept from one run to the next.")]
+Record = Annotated[
+    Path | None, typer.Option(metavar="FILE.mcap", help="A new file for a log of all that happens, to replay.")
+]
 AsJson = Annotated[bool, typer.Option("--json", help="One JSON object as the last line of stdout.")]
+PageOption = Annotated[bool, typer.Option("--page/--no-page", help="Show the map live in a browser.")]
+PagePort = Annotated[
+    int | None, typer.Option("--port", metavar="P", min=0, max=65535, help="Where the page is (default 8750).")
+]
+PageHost = Annotated[
+    str, typer.Option("--host", metavar="H", help="Where the page listens; not only here: then it wants a token.")
+]
+OpenOption = Annotated[
+    bool | None, typer.Option("--open/--no-open", help="Start a browser; by default in a terminal on a screen.")
+]
 SupervisedOption = Annotated[bool, typer.Option("--supervised", hidden=True)]
 
 
@@ -48,14 +70,20 @@ def demo(
     cell: Cell = None,
     speed: SpeedOption = "10",
     world: Annotated[
-        str, typer.Option(metavar="NAME|FILE", help="paper, rooms, office, or a YAML of walls.")
+        str, typer.Option(metavar="NAME|FILE", help=f"{', '.join(world_names())}, or a YAML of walls.")
     ] = "paper",
     seed: Annotated[int, typer.Option(min=0, help="Decides the sensors' noise.")] = 1,
     publish: PublishOption = None,
     transport: Transport = None,
     radio: Radio = None,
     base_port: BasePort = None,
+    page: PageOption = True,
+    port: PagePort = None,
+    host: PageHost = "127.0.0.1",
+    open_page: OpenOption = None,
     out: Out = Path("out"),
+    state: State = None,
+    record: Record = None,
     as_json: AsJson = False,
 ) -> None:
     """Simulated robots, each its own process, and an observer map a world together; ends by itself."""
@@ -63,9 +91,11 @@ def demo(
     from agent.launch import demo_config, launch
 
     options = _swarm_options(cell, publish, transport, radio, base_port)
+    shown = _page(page, port, host, open_page)
     base = load(config, options)
     resolved = demo_config(base, world=world, robots=robots, speed=_speed(speed), seed=seed)
-    raise typer.Exit(0 if launch(resolved, out, simulated=True, as_json=as_json) else 1)
+    converged = launch(resolved, out, simulated=True, as_json=as_json, state=state, page=shown, record=record)
+    raise typer.Exit(0 if converged else 1)
 
 
 @app.command(
@@ -73,7 +103,8 @@ def demo(
 )
 def replay(
     recordings: Annotated[
-        list[Path], typer.Argument(metavar="RECORDING...", help="CARMEN logs, one a robot, or nano_swarm folders.")
+        list[Path],
+        typer.Argument(metavar="RECORDING...", help="CARMEN logs, one a robot, nano_swarm folders, or one .mcap."),
     ],
     config: ConfigFile = None,
     robots: Annotated[
@@ -89,7 +120,13 @@ def replay(
     transport: Transport = None,
     radio: Radio = None,
     base_port: BasePort = None,
+    page: PageOption = True,
+    port: PagePort = None,
+    host: PageHost = "127.0.0.1",
+    open_page: OpenOption = None,
     out: Out = Path("out"),
+    state: State = None,
+    record: Record = None,
     as_json: AsJson = False,
 ) -> None:
     """Recorded robots, each its own process, and an observer map together what they once saw."""
@@ -97,15 +134,25 @@ def replay(
     from agent.launch import launch, replay_config
 
     options = _swarm_options(cell, publish, transport, radio, base_port)
+    shown = _page(page, port, host, open_page)
     base = load(config, options)
-    resolved = replay_config(base, recordings, robots=robots, poses=poses, max_range=max_range, speed=_speed(speed))
-    raise typer.Exit(0 if launch(resolved, out, simulated=False, as_json=as_json) else 1)
+    if any(path.suffix.lower() == ".mcap" for path in recordings):
+        from agent.repeater import log_config
+
+        fixed = {"-c": config, "--robots": robots, "--cell": cell, "--max-range": max_range, "--poses": poses}
+        _brings_its_own(recordings, fixed | {"--publish": publish})
+        resolved = log_config(base, recordings[0], _speed(speed))
+    else:
+        resolved = replay_config(base, recordings, robots=robots, poses=poses, max_range=max_range, speed=_speed(speed))
+    converged = launch(resolved, out, simulated=False, as_json=as_json, state=state, page=shown, record=record)
+    raise typer.Exit(0 if converged else 1)
 
 
-@app.command(epilog="Example: orion agent -c lab.toml --robot r1")
+@app.command(epilog="Example: orion agent -c lab.toml --robot r1 --state state/")
 def agent(
     config: Annotated[Path, typer.Option("-c", "--config", metavar="FILE", help="The swarm's TOML.")],
     robot: Annotated[str, typer.Option(metavar="ID", help="Which robot of the roster this is.")],
+    state: State = None,
     as_json: AsJson = False,
     supervised: SupervisedOption = False,
 ) -> None:
@@ -113,16 +160,28 @@ def agent(
     from agent.config import load
     from agent.robot import run_robot
 
-    _work(lambda control: run_robot(load(config, {}), robot, control), as_json=as_json, supervised=supervised)
+    _work(lambda control: run_robot(load(config, {}), robot, control, state), as_json=as_json, supervised=supervised)
 
 
-@app.command(epilog="Example: orion observe -c lab.toml --out map/")
+@app.command(epilog="Example: orion observe -c lab.toml --state state/ --out map/")
 def observe(
     config: ConfigFile = None,
     out: Annotated[Path | None, typer.Option(metavar="DIR", help="Where the map is written at the end.")] = None,
     scans: Annotated[
         Path | None, typer.Option(metavar="FILE.npz", help="Where the scans that came by are written at the end.")
     ] = None,
+    page: PageOption = True,
+    port: PagePort = None,
+    host: PageHost = "127.0.0.1",
+    open_page: OpenOption = None,
+    state: State = None,
+    record: Record = None,
+    ros2: Annotated[
+        bool, typer.Option("--ros2", help="Publish map, poses and scans as ROS 2 topics (rmw_zenoh).")
+    ] = False,
+    ros2_router: Annotated[
+        str, typer.Option(metavar="ENDPOINT", help="Where ROS 2's Zenoh router listens.")
+    ] = "tcp/127.0.0.1:7447",
     as_json: AsJson = False,
     supervised: SupervisedOption = False,
 ) -> None:
@@ -133,7 +192,9 @@ def observe(
 
     def work(control: Any) -> dict[str, Any]:
         swarm = load(config, {})
-        return run_observer(swarm, None if out is None else prepare_folder(out), control, scans)
+        folder = None if out is None else prepare_folder(out)
+        shown = _page(page, port, host, open_page)
+        return run_observer(swarm, folder, control, scans, state, shown, record, ros2_router if ros2 else None)
 
     _work(work, as_json=as_json, supervised=supervised)
 
@@ -158,6 +219,50 @@ def simulate(
     )
 
 
+@app.command(
+    "start-pose",
+    epilog="Examples: orion start-pose r2 --x 2.15 --y 1.45 --yaw-deg 10 -c lab.toml    "
+    "orion start-pose r2 --x -0.5 --y 0 --yaw-deg -90 -c lab.toml --json",
+)
+def start_pose(
+    robot: Annotated[str, typer.Argument(metavar="ROBOT", help="Whose start pose.")],
+    x: Annotated[float, typer.Option("--x", metavar="M", help="Metres in the common frame.")],
+    y: Annotated[float, typer.Option("--y", metavar="M", help="Metres in the common frame.")],
+    yaw_deg: Annotated[float, typer.Option("--yaw-deg", metavar="D", help="Degrees, counter-clockwise.")],
+    config: ConfigFile = None,
+    as_json: AsJson = False,
+) -> None:
+    """Tell a running swarm where a robot really started: it publishes its whole map anew, and everybody has it right.
+
+    The decision is stronger than the file's start, for as long as any peer remembers it.
+    """
+    from agent.config import load, start_of
+    from agent.operate import set_start_pose
+
+    pose, swarm = start_of(x, y, yaw_deg), load(config, {})
+    _operate(swarm, lambda operator: set_start_pose(operator, swarm, robot, pose), as_json=as_json)
+
+
+@app.command(
+    epilog="Examples: orion evict r2 -c lab.toml    orion evict 5f3a09 -c lab.toml    "
+    "orion evict r2 --readmit -c lab.toml"
+)
+def evict(
+    session: Annotated[
+        str,
+        typer.Argument(metavar="SESSION|ROBOT", help="16 hex digits, the first few of them, or a robot's id."),
+    ],
+    config: ConfigFile = None,
+    readmit: Annotated[bool, typer.Option("--readmit", help="Take it back into the map.")] = False,
+    as_json: AsJson = False,
+) -> None:
+    """Take a session out of the map everywhere, exactly and for as long as nobody readmits it."""
+    from agent.config import load
+    from agent.operate import evict as decide
+
+    _operate(load(config, {}), lambda operator: decide(operator, session, readmit=readmit), as_json=as_json)
+
+
 @app.command(epilog="Example: orion paper --out report/")
 def paper(
     out: Annotated[Path, typer.Option(metavar="DIR", help="Where figures, tables and runs go.")] = Path("paper"),
@@ -178,6 +283,33 @@ def paper(
 
     found = report(load(None, {"base_port": base_port}), out, seed, say, quick=quick)
     typer.echo(json.dumps(found) if as_json else f"{found['table']}\ntable and figures: {found['folder']}")
+
+
+@app.command(epilog="Examples: orion doctor    orion doctor /dev/ttyACM0    orion doctor -c lab.toml --json")
+def doctor(
+    port: Annotated[
+        str | None, typer.Argument(metavar="[PORT]", help="The serial port of one robot, to test that alone.")
+    ] = None,
+    config: ConfigFile = None,
+    baudrate: Annotated[int | None, typer.Option(metavar="N", min=300, help="Bits a second on PORT.")] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Test this machine, a configuration, and the robots on its serial ports. Turns no wheel; exits 1 at a problem."""
+    from agent.config import load
+    from agent.doctor import examine
+    from agent.errors import printable
+    from agent.finding import worst
+
+    swarm = None if config is None else load(config, {})
+    findings = []
+    for finding in examine(port, swarm, Path.cwd() if config is None else config.absolute().parent, baudrate):
+        findings.append(finding)
+        if not as_json:
+            remedy = f"; {finding.remedy}" if finding.remedy else ""
+            typer.echo(printable(f"{finding.verdict:>8}  {finding.subject}: {finding.found}{remedy}"))
+    if as_json:
+        typer.echo(json.dumps({"verdict": worst(findings), "findings": [it._asdict() for it in findings]}))
+    raise typer.Exit(1 if worst(findings) == "problem" else 0)
 
 
 def _work(work: Any, *, as_json: bool, supervised: bool) -> None:
@@ -201,14 +333,47 @@ def _work(work: Any, *, as_json: bool, supervised: bool) -> None:
     if as_json:
         typer.echo(json.dumps(summary))
     else:
+        for each in summary.pop("contributions", ()):
+            state = "in the map" if each["summed"] else "not in the map"
+            reason = f": {each['reason']}" if each["reason"] else ""
+            typer.echo(f"{each['robot']:>12}  session {each['session']}, {each['updates']} updates, {state}{reason}")
         for key, value in summary.items():
             typer.echo(f"{key:>12}  {value}")
+
+
+def _operate(config: Any, work: Any, *, as_json: bool) -> None:
+    """Decide something in a running swarm; tell what changed and who knows."""
+    from agent.operate import NobodyError, in_words, operate
+
+    try:
+        result = operate(config, work)
+    except NobodyError:
+        ports = f"{config.base_port} to {config.base_port + len(config.robots) - 1}"
+        typer.echo(f"orion: nobody of swarm {config.swarm} is there (ports {ports}); nothing was decided", err=True)
+        raise typer.Exit(1) from None
+    typer.echo(json.dumps(result) if as_json else "\n".join(in_words(result)))
+    raise typer.Exit(0 if result["known_to_all"] else 1)
 
 
 def _swarm_options(
     cell: float | None, publish: str | None, transport: str | None, radio: str | None, base_port: int | None
 ) -> dict[str, Any]:
     return {"cell": cell, "publish": publish, "transport": transport, "radio": radio, "base_port": base_port}
+
+
+def _page(page: bool, port: int | None, host: str, open_page: bool | None) -> PageOptions | None:
+    if not page:
+        return None
+    return PageOptions(host, port, open=can_open() and (sys.stderr.isatty() if open_page is None else open_page))
+
+
+def _brings_its_own(recordings: list[Path], fixed: dict[str, Any]) -> None:
+    """A log is replayed by itself and as it is."""
+    if len(recordings) > 1:
+        raise UserError("orion replay", "takes one log, with all its robots, and nothing else", "give one .mcap")
+    for option, value in fixed.items():
+        if value is not None:
+            raise UserError(option, "cannot be given with a log, which has its own", "leave it out")
 
 
 def _speed(text: str) -> float | str:

@@ -48,13 +48,27 @@ class _Table(BaseModel):
 class Start(_Table):
     """A robot's start pose in the common frame; metres and degrees."""
 
-    x: float = Field(0.0, ge=-1e6, le=1e6)
-    y: float = Field(0.0, ge=-1e6, le=1e6)
+    x: float = Field(0.0, ge=-8e5, le=8e5)
+    y: float = Field(0.0, ge=-8e5, le=8e5)
     yaw_deg: _Degrees = 0.0
 
     def quantised(self) -> QuantisedPose:
         """As descriptors carry it."""
         return QuantisedPose.of(Pose(self.x, self.y, math.radians(self.yaw_deg)))
+
+
+def start_of(x: float, y: float, yaw_deg: float) -> QuantisedPose:
+    """A start pose given on the command line; metres and degrees.
+
+    Raises:
+        UserError: with the option and the remedy.
+    """
+    try:
+        return Start(x=x, y=y, yaw_deg=yaw_deg).quantised()
+    except ValidationError as error:
+        first = error.errors()[0]
+        option = f"--{first['loc'][0]}".replace("_", "-")
+        raise UserError(option, f"{first['msg'][:1].lower()}{first['msg'][1:]}", "mend this value") from None
 
 
 class SerialBody(_Table):
@@ -78,6 +92,14 @@ class RecordedBody(_Table):
     parts: int = Field(1, ge=1, description="into how many pieces of equal path")
     poses: Literal["truth", "odometry", "slam"] | None = None
     max_range: _Range | None = None
+    speed: Speed = 1.0
+
+
+class LogBody(_Table):
+    """The robot as a log has it: its recorded sessions, said again."""
+
+    kind: Literal["log"]
+    path: str
     speed: Speed = 1.0
 
 
@@ -110,7 +132,7 @@ class Robot(_Table):
     host: Annotated[str, AfterValidator(_host)] = "127.0.0.1"
     start: Start | None = None
     publish: Publish | None = None
-    body: Annotated[SerialBody | RecordedBody, Field(discriminator="kind")] | None = None
+    body: Annotated[SerialBody | RecordedBody | LogBody, Field(discriminator="kind")] | None = None
 
 
 class Evidence(_Table):
@@ -126,10 +148,11 @@ class OrionSensor(_Table):
 
     kind: Literal["orion"] = "orion"
     max_range: _Range = ORION_RANGE
+    view_deg: float = Field(0.0, ge=0, le=180, description="each beam's field of view; a VL53L0X has 25, the paper 0")
 
     def build(self) -> Sensor:
         """The sensor."""
-        return orion(self.max_range)
+        return orion(self.max_range, view=math.radians(self.view_deg))
 
 
 class LaserSensor(_Table):
@@ -212,9 +235,9 @@ class Config(_Table):
 
     swarm: Annotated[str, AfterValidator(_swarm_name)] = "orion"
     cell: float = Field(0.02, gt=0)
-    transport: Literal["zenoh"] = "zenoh"
+    transport: Literal["zenoh", "zmq"] = "zenoh"
     base_port: int = Field(7450, ge=1, le=65535)
-    radio: Literal["lan"] = "lan"
+    radio: Literal["lan", "digimesh-1hop", "digimesh-3hop", "digimesh-6hop"] = "lan"
     publish: Publish = "auto"
     evidence: Evidence = Evidence()
     sensor: Annotated[OrionSensor | LaserSensor | BeamsSensor, Field(discriminator="kind")] = OrionSensor()
@@ -332,7 +355,7 @@ def _complaint(error: ValidationError, source: Any) -> UserError:
         return UserError(where, "is no key of the configuration", remedy)
     if first["type"] in {"union_tag_not_found", "union_tag_invalid"}:
         what = f"{first['ctx']['tag']!r} is unknown" if "tag" in first["ctx"] else "is missing"
-        kinds = "orion, laser or beams" if path == ["sensor"] else "serial or recording"
+        kinds = "orion, laser or beams" if path == ["sensor"] else "serial, recording or log"
         return UserError(f"{where}.kind", what, f"give {kinds}")
     what = first["msg"].removeprefix("Value error, ")
     what = what[:1].lower() + what[1:]
@@ -356,6 +379,7 @@ def _known_keys(location: tuple[int | str, ...]) -> set[str]:
     kinds: dict[object, type[BaseModel]] = {
         "serial": SerialBody,
         "recording": RecordedBody,
+        "log": LogBody,
         "orion": OrionSensor,
         "laser": LaserSensor,
         "beams": BeamsSensor,

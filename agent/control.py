@@ -36,9 +36,9 @@ class Control:
         self.go = True
         self.stop = False
         self._compilation = compilation
-        self._said: set[str] = set()
+        self._apart: dict[str, str] = {}
         self._around = 0
-        self._trouble = ""
+        self._trouble: dict[str, str] = {}
 
     @property
     def kernel(self) -> bool:
@@ -50,15 +50,28 @@ class Control:
         lines = []
         if event == "ready":
             lines = [f"{facts['name']} is ready; Ctrl-C ends it"]
+        elif event == "page":
+            lines = [f"the map as it grows: {facts['url']}"]
+        elif event == "trouble":
+            lines = [facts["what"]]
         elif event == "status":
-            lines = [f"refused {reason}" for reason in facts.get("refused", ())]
-            lines += [f"{robot} has no start pose: its map is kept apart" for robot in facts.get("not_placed", ())]
-            lines = [line for line in lines if line not in self._said]
-            self._said.update(lines)
-            trouble = facts.get("body", "")
-            if trouble and trouble != self._trouble:
-                self._trouble = trouble
-                lines.append(trouble)
+            apart = facts.get("apart", self._apart)
+            lines = [
+                f"session {session} of {reason}"
+                for session, reason in sorted(apart.items())
+                if self._apart.get(session) != reason
+            ]
+            lines += [
+                f"session {session} of {reason.partition(':')[0]}: all is well again"
+                for session, reason in sorted(self._apart.items())
+                if session not in apart
+            ]
+            self._apart = apart
+            for source in ("body", "state"):
+                trouble = facts.get(source, "")
+                if trouble and trouble != self._trouble.get(source):
+                    self._trouble[source] = trouble
+                    lines.append(trouble)
             around = facts.get("around", self._around)
             if around != self._around:
                 self._around = around

@@ -91,6 +91,14 @@ class Driver(Protocol):
         """
         ...
 
+    def placed(self, T_after_before: Pose) -> None:
+        """The robot learnt that it is elsewhere in the common frame than it believed.
+
+        Args:
+            T_after_before: what places that it knows from being there are moved by.
+        """
+        ...
+
 
 class NoDriver:
     """The driver of a robot that is carried, or driven by somebody else: it stands still and is never done."""
@@ -101,6 +109,9 @@ class NoDriver:
     def drive(self, stamp: float, T_common_robot: Pose, points_robot: NDArray[np.float64]) -> Motion:
         """Stay."""
         return STILL
+
+    def placed(self, T_after_before: Pose) -> None:
+        """Stay there."""
 
 
 def steer(T_common_robot: Pose, x: float, y: float, limits: Limits) -> Motion:
@@ -195,6 +206,10 @@ class WaypointDriver:
         if self._blockage.lasts(stamp, wanted, motion):
             self._go_round(T_common_robot)
         return motion
+
+    def placed(self, T_after_before: Pose) -> None:
+        """The waypoints lie where they lay; a detour begins anew; see ``Driver``."""
+        self._detour = []
 
     def _tick_off(self, T_common_robot: Pose) -> None:
         while self._detour and _at(T_common_robot, *self._detour[0]):

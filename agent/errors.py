@@ -15,9 +15,10 @@ class UserError(Exception):
     """
 
     def __init__(self, where: object, what: str, remedy: str) -> None:
-        self.where, self.what, self.remedy = _printable(str(where)), _printable(what), _printable(remedy)
+        self.where, self.what, self.remedy = printable(str(where)), printable(what), printable(remedy)
         super().__init__(f"{self.where}: {self.what}; {self.remedy}")
 
 
-def _printable(text: str) -> str:
+def printable(text: str) -> str:
+    """The text with whatever a terminal could take for an order shown escaped."""
     return "".join(sign if sign.isprintable() else repr(sign)[1:-1] for sign in text)

@@ -88,6 +88,7 @@ class Explorer:
         self._waits_since: float | None = None
         self._blockage = Blockage()
         self._blocks = 0
+        self._sees_nothing = False
         self._done = False
 
     @property
@@ -98,6 +99,8 @@ class Explorer:
     @property
     def status(self) -> str:
         """What keeps it from driving."""
+        if self._sees_nothing:
+            return "has seen nothing free around it"
         return "waits for its way to become free" if self._waits_since is not None else ""
 
     def drive(self, stamp: float, T_common_robot: Pose, points_robot: Points) -> Motion:
@@ -119,6 +122,13 @@ class Explorer:
             self._count_blockage()
             self._plan(stamp, T_common_robot, T_common_robot.apply(points_robot))
         return motion
+
+    def placed(self, T_after_before: Pose) -> None:
+        """Where it has looked it has looked; the way there is planned anew; see ``Driver``."""
+        looked_at = T_after_before.apply(np.array(self._looked_at).reshape(-1, 2))
+        self._looked_at = [(x, y) for x, y in looked_at.tolist()]
+        self._corners, self._planned_at, self._last_yaw = [], -math.inf, None
+        self._done = False
 
     def _turn(self, T_common_robot: Pose) -> Motion:
         if self._last_yaw is not None:
@@ -151,8 +161,9 @@ class Explorer:
         self._planned_at = stamp
         here = np.array([[T_common_robot.x, T_common_robot.y]])
         terrain = terrain_of(self._tiles(), self._lattice, np.concatenate([here, seen]))
-        if not (terrain.free & terrain.discs(here, _AROUND)).any():
-            return  # what this robot has seen is not in the map yet
+        self._sees_nothing = not (terrain.free & terrain.discs(here, _AROUND)).any()
+        if self._sees_nothing:
+            return  # it is not in the map yet, or its sensors are dead
         targets, mates = self._targets(terrain), self._mates()
         if not len(seen) and self._still_good(terrain, passable(terrain, here, mates), targets, here):
             return

@@ -10,10 +10,12 @@ from __future__ import annotations
 import contextlib
 import json
 import queue
+import signal
 import subprocess
 import sys
 import threading
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -22,6 +24,7 @@ from agent.config import Config
 from agent.errors import UserError
 from agent.kernel import Compilation
 from agent.member import Member
+from agent.page_options import PageOptions
 from agent.progress import Progress
 
 OBSERVER = "observer"
@@ -36,11 +39,20 @@ _LEAVING = 20.0
 
 
 class Fleet:
-    """The processes of one run. Use it in a ``with`` statement: leaving ends whatever still runs."""
+    """The processes of one run. Use it in a ``with`` statement: leaving ends whatever still runs.
 
-    def __init__(self, config: Config, out: Path) -> None:
+    Args:
+        config: the swarm.
+        out: a prepared folder for what they write.
+        state: the folder in which they remember things, or None.
+        record: the log that the observer writes, or None.
+    """
+
+    def __init__(self, config: Config, out: Path, state: Path | None = None, record: Path | None = None) -> None:
         self._config = config
         self._out = out
+        self._state = [] if state is None else ["--state", str(state.absolute())]
+        self._record = [] if record is None else ["--record", str(record.absolute())]
         self._news: queue.SimpleQueue[tuple[Member, dict[str, Any] | None]] = queue.SimpleQueue()
         self.members: dict[str, Member] = {}
         self._world: Member | None = None
@@ -60,20 +72,24 @@ class Fleet:
         for member in self._processes():
             member.end(deadline)
 
-    def start(self, *, simulated: bool, scans: bool = False) -> None:
+    def start(self, *, simulated: bool, scans: bool = False, page: PageOptions | None = None) -> None:
         """Start every process.
 
         Args:
             simulated: the world too, as the robots are not there without it.
             scans: the observer writes what scans it saw to ``scans.npz``.
+            page: how the observer shows the map live, or None for not at all.
         """
-        file = str(self._out / "orion.toml")
-        if simulated:
-            self._world = self._start("world", ["simulate", "-c", file, "--truth", str(self._out / "truth.npz")])
-        for robot in self._config.roster:
-            self.members[robot] = self._start(robot, ["agent", "-c", file, "--robot", robot])
-        record = ["--scans", str(self._out / "scans.npz")] if scans else []
-        self.members[OBSERVER] = self._start(OBSERVER, ["observe", "-c", file, "--out", str(self._out), *record])
+        with _held_signals():  # or one that comes now would leave a process of which nobody knows
+            file = str(self._out / "orion.toml")
+            if simulated:
+                self._world = self._start("world", ["simulate", "-c", file, "--truth", str(self._out / "truth.npz")])
+            for robot in self._config.roster:
+                self.members[robot] = self._start(robot, ["agent", "-c", file, "--robot", robot, *self._state])
+            options = ["--scans", str(self._out / "scans.npz")] if scans else []
+            options += ["--no-page"] if page is None else page.arguments()
+            observe = ["observe", "-c", file, "--out", str(self._out), *options, *self._record, *self._state]
+            self.members[OBSERVER] = self._start(OBSERVER, observe)
 
     def _start(self, name: str, arguments: list[str]) -> Member:
         process = subprocess.Popen(  # noqa: S603 - our own command
@@ -158,6 +174,8 @@ class Fleet:
         match line.pop("event"):
             case "ready":
                 member.ready = True
+            case "page":
+                sys.stderr.write(f"orion: the map as it grows: {line['url']}\n")
             case "status":
                 member.status = line
             case "report":
@@ -211,3 +229,18 @@ class Fleet:
             "files": files,
             **world,
         }
+
+
+@contextlib.contextmanager
+def _held_signals() -> Iterator[None]:
+    """Ctrl-C and a service manager's stop wait until this is over."""
+    came: list[int] = []
+    endings = (signal.SIGINT, signal.SIGTERM)
+    before = {number: signal.signal(number, lambda number, frame: came.append(number)) for number in endings}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+        if came:
+            signal.raise_signal(came[0])

@@ -16,11 +16,14 @@ from typing import Self
 import numpy as np
 
 from mapping.evidence import EvidenceModel
+from mapping.lattice import Lattice
 from mapping.raster import Raster, raster
-from mapping.rays import Rays
+from mapping.scan import Scans
+from mapping.sensor import Beam, Sensor
 from mapping.tiles import Evidence
 
-_ONE_RAY = Rays(np.zeros((1, 2), np.int64), np.array([[3, 1]], np.int64), np.array([True]))
+_SENSOR = Sensor((Beam(0, 0, 0),), 1000)
+_SCAN = Scans(np.zeros(1, np.int64), np.zeros((1, 3), np.int32), np.full((1, 1), 100, np.uint16))
 
 
 class Kernel:
@@ -30,9 +33,9 @@ class Kernel:
         self._raster: Raster = raster
         self._loading: threading.Thread | None = None
 
-    def __call__(self, rays: Rays, model: EvidenceModel) -> Evidence:
+    def __call__(self, scans: Scans, sensor: Sensor, lattice: Lattice, model: EvidenceModel) -> Evidence:
         """As ``mapping.raster.raster``."""
-        return self._raster(rays, model)
+        return self._raster(scans, sensor, lattice, model)
 
     def load(self) -> None:
         """Load the compiled kernel in the background; to be called once it lies in the cache."""
@@ -55,7 +58,7 @@ def compiled() -> Raster:
         from mapping import raster_jit
     except ImportError:
         return raster
-    raster_jit.raster(_ONE_RAY, EvidenceModel())
+    raster_jit.raster(_SCAN, _SENSOR, Lattice(50), EvidenceModel())
     return raster_jit.raster
 
 

@@ -17,6 +17,7 @@ from agent.errors import UserError
 from agent.files import prepare_folder, write_whole
 from agent.fleet import Fleet
 from agent.links import check_ports
+from agent.page_options import PageOptions
 from agent.progress import progress
 from mapping.sensor import Sensor
 
@@ -110,7 +111,16 @@ def _absolute(world: str) -> str:
     return _in_a_file(Path(world)) if "/" in world or world.endswith((".yaml", ".yml")) else world
 
 
-def launch(config: Config, out: Path, *, simulated: bool, as_json: bool) -> bool:
+def launch(
+    config: Config,
+    out: Path,
+    *,
+    simulated: bool,
+    as_json: bool,
+    state: Path | None = None,
+    page: PageOptions | None = None,
+    record: Path | None = None,
+) -> bool:
     """Run a swarm on this machine to its end, and say what came of it; gives whether all agree.
 
     Raises:
@@ -128,9 +138,9 @@ def launch(config: Config, out: Path, *, simulated: bool, as_json: bool) -> bool
     signal.signal(signal.SIGTERM, interrupt)
     began = time.monotonic()
     interrupted = False
-    with Fleet(config, folder) as fleet:
+    with Fleet(config, folder, state, record) as fleet:
         try:
-            fleet.start(simulated=simulated)
+            fleet.start(simulated=simulated, page=page)
             with progress() as bars:
                 settled = fleet.run(bars)
         except UserError:

@@ -4,19 +4,15 @@ from __future__ import annotations
 
 import errno
 import socket
-from typing import TYPE_CHECKING
 
 from agent.config import Config
 from agent.errors import UserError
 from agent.node import peer_name
-from transport.bus import BusError
-from transport.roster import roster_endpoints
-
-if TYPE_CHECKING:
-    from transport.zenoh_bus import ZenohBus
+from transport.bus import Bus, BusError
+from transport.roster import Endpoints, roster_endpoints
 
 
-def open_bus(config: Config, name: str, index: int | None) -> ZenohBus:
+def open_bus(config: Config, name: str, index: int | None) -> Bus:
     """Join the swarm.
 
     Args:
@@ -27,15 +23,23 @@ def open_bus(config: Config, name: str, index: int | None) -> ZenohBus:
     Raises:
         UserError: an endpoint cannot be used.
     """
-    from transport.zenoh_bus import ZenohBus
-
     if index is not None:
         _check_port(config, index)
     endpoints = roster_endpoints(config.hosts, config.base_port, index)
     try:
-        return ZenohBus(config.swarm, peer_name(name), listen=endpoints.listen, connect=endpoints.connect)
+        return _open(config, peer_name(name), endpoints)
     except BusError as error:
         raise UserError(error.where, error.what, "choose another base_port, or mend the robots' hosts") from None
+
+
+def _open(config: Config, peer: str, endpoints: Endpoints) -> Bus:
+    if config.transport == "zmq":
+        from transport.zmq_bus import ZmqBus
+
+        return ZmqBus(config.swarm, peer, listen=endpoints.listen, connect=endpoints.connect)
+    from transport.zenoh_bus import ZenohBus
+
+    return ZenohBus(config.swarm, peer, listen=endpoints.listen, connect=endpoints.connect)
 
 
 def check_ports(config: Config) -> None:
@@ -48,14 +52,24 @@ def check_ports(config: Config) -> None:
         _check_port(config, index)
 
 
+def bind_once(host: str, port: int) -> None:
+    """Find out whether one could listen there.
+
+    Raises:
+        OSError: one cannot, or the host is not known.
+        UnicodeError: a name that no resolver is asked for, such as a..b.
+    """
+    family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+    with socket.socket(family, kind, protocol) as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        probe.bind(address)
+
+
 def _check_port(config: Config, index: int) -> None:
     robot, host, port = config.roster[index], config.hosts[index], config.base_port + index
     try:
-        family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
-        with socket.socket(family, kind, protocol) as probe:
-            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            probe.bind(address)
-    except (OSError, UnicodeError) as error:  # UnicodeError: a name that no resolver is asked for, such as a..b
+        bind_once(host, port)
+    except (OSError, UnicodeError) as error:
         reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
         raise UserError(f"robots.{robot}: {host}:{port}", reason[:1].lower() + reason[1:], _remedy(error)) from None
 

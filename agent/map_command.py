@@ -27,6 +27,7 @@ app = typer.Typer(
 MapFile = Annotated[
     Path, typer.Argument(metavar="MAP", help="An .npz, a map_server .yaml, or a .pgm with its .yaml beside it.")
 ]
+Picture = Annotated[Path | None, typer.Option("--png", metavar="FILE.png", help="Draw it, too.")]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of text.")]
 
 
@@ -60,11 +61,13 @@ Examples:
 _DIFF = _paragraphs("""Compare two maps cell by cell; exit with 1 if they differ.
 
 The maps may have different extents: what lies outside of one is unknown there. The difference is counted in units of
-evidence, 0.01 nat of log-odds.
+evidence, 0.01 nat of log-odds. In the picture a cell is orange where B has it more occupied than A, blue where more
+free; the map behind is A.
 
 \b
-Example:
+Examples:
   orion map diff out/map.npz out/robots/r1.npz
+  orion map diff out/map.npz out/robots/r1.npz --png diff.png
 """)
 
 _SCORE = _paragraphs("""Score maps against the truth: true walls, or a true map.
@@ -81,6 +84,9 @@ IoU, intersection over union: both grown by the tolerance, what they share divid
 in cells of the scored map whose centres lie within the tolerance.
 
 Known: the area of the cells with any evidence, in square metres.
+
+In the picture, which is of the first map, occupied cells are green if true and orange if false; what is missing of
+the truth is blue.
 
 Give several maps to see each robot's own beside the fused one. With --json, the first map's scores stand at the top
 and again, with all others, under "maps".
@@ -168,10 +174,12 @@ def info(map_file: MapFile, as_json: Json = False) -> None:
 def diff(
     a: Annotated[Path, typer.Argument(metavar="A", help="A map.")],
     b: Annotated[Path, typer.Argument(metavar="B", help="Another map with cells of the same size.")],
+    png: Picture = None,
     as_json: Json = False,
 ) -> None:
     """Compare two maps cell by cell."""
-    from agent.map_files import load_map
+    from agent.map_files import load_map, save_picture
+    from mapping.comparison_picture import difference_png
 
     grids = load_map(a), load_map(b)
     if grids[0].lattice != grids[1].lattice:
@@ -179,6 +187,8 @@ def diff(
         raise UserError(b, f"the maps have cells of {sizes}", "compare maps of one cell size, or use orion map score")
     differing, largest = _difference(*grids)
     digests = [grid.digest().hex() for grid in grids]
+    if png is not None:
+        save_picture(png, difference_png(*grids))
     if as_json:
         _print_json({"equal": differing == 0, "differing": differing, "largest": largest, "digests": digests})
     elif differing == 0:
@@ -201,11 +211,13 @@ def score_maps(
     tolerance: Annotated[
         float | None, typer.Option("--tolerance", metavar="M", help="Metres; 1.5 cells of each map if not given.")
     ] = None,
+    png: Picture = None,
     as_json: Json = False,
 ) -> None:
     """Score maps against the truth."""
-    from agent.map_files import load_map, load_walls
-    from mapping.score import score
+    from agent.map_files import load_map, load_walls, save_picture
+    from mapping.comparison_picture import judgement_png
+    from mapping.score import judge
 
     true: NDArray[np.float64] | Grid
     if walls is not None and truth is None:
@@ -214,13 +226,16 @@ def score_maps(
         true = load_map(truth)
     else:
         raise UserError("orion map score", "needs one truth", "give either --walls CSV or --truth MAP")
-    rows = []
+    rows: list[tuple[Path, Score, str]] = []
     for path in maps:
         grid = load_map(path)
         try:
-            rows.append((path, score(grid, true, tolerance), grid.digest().hex()))
+            judgement = judge(grid, true, tolerance)
         except ValueError as error:
             raise UserError(path, str(error), "check frames, units and --tolerance") from error
+        if png is not None and not rows:
+            save_picture(png, judgement_png(grid, judgement))
+        rows.append((path, judgement.score, grid.digest().hex()))
     if as_json:
         table = [{"map": str(path), **dataclasses.asdict(result), "digest": digest} for path, result, digest in rows]
         _print_json({**table[0], "truth": str(walls or truth), "maps": table})

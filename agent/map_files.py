@@ -103,6 +103,17 @@ def save_map(folder: Path, stem: str, grid: Grid, trails: Sequence[Trail] = ()) 
     return files
 
 
+def save_picture(path: Path, png: bytes) -> None:
+    """Write a picture.
+
+    Raises:
+        UserError: the name does not end in .png, or the file cannot be written.
+    """
+    if path.suffix.lower() != ".png":
+        raise UserError(path, "is no name for a picture", "let it end in .png")
+    write_whole(path, png)
+
+
 def _description(path: Path) -> MapDescription:
     data = read_bytes(path)
     try:

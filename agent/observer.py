@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import time
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,16 +14,61 @@ from agent.config import Config
 from agent.control import Control
 from agent.errors import UserError
 from agent.files import prepare_folder
+from agent.keeper import open_keeper
 from agent.links import open_bus
 from agent.map_files import save_map
 from agent.node import SOFTWARE, Node
+from agent.page import NoPage, Page
+from agent.page_options import PageOptions
 from agent.scan_record import ScanRecord, save_scans
 from mapping.grid import Grid
 from mapping.map_picture import Trail, robot_colour
+from swarm.contributions import contributions
 from swarm.messages import Hello, Update
 from swarm.peer import Peer
+from swarm.radio import PROFILES
 from swarm.scan_block import decode_scans
 from swarm.session import Descriptor, SessionId
+
+
+class Outlet(Protocol):
+    """Where what the observer knows goes: a log, ROS 2.
+
+    Attributes:
+        status: what is wrong with it, in words; empty if nothing is.
+    """
+
+    status: str
+
+    def __call__(self, descriptor: Descriptor, update: Update) -> None:
+        """Take an update that the peer has applied."""
+        ...
+
+    def watch(self, peer: Peer) -> Callable[[float], None]:
+        """What that peer's loop is to do in every turn."""
+        ...
+
+    def close(self) -> dict[str, Any]:
+        """Bring it to its end; gives what is to be told of it."""
+        ...
+
+
+def open_outlets(record: Path | None, ros2: str | None, config: Config) -> list[Outlet]:
+    """Those that were asked for: only then their packages are needed.
+
+    Raises:
+        UserError: the log is there already or cannot be made, or the router's endpoint is none.
+    """
+    outlets: list[Outlet] = []
+    if record is not None:
+        from agent.recorder import Recorder
+
+        outlets.append(Recorder(record, config.toml().decode()))
+    if ros2 is not None:
+        from agent.ros2 import Ros2
+
+        outlets.append(Ros2(ros2))
+    return outlets
 
 
 class Trails:
@@ -46,7 +93,16 @@ class Trails:
         return np.concatenate([np.zeros((0, 2)), *self._poses.get(session, [])])
 
 
-def run_observer(config: Config, out: Path | None, control: Control, scans: Path | None = None) -> dict[str, Any]:
+def run_observer(
+    config: Config,
+    out: Path | None,
+    control: Control,
+    scans: Path | None = None,
+    state: Path | None = None,
+    page: PageOptions | None = None,
+    record: Path | None = None,
+    ros2: str | None = None,
+) -> dict[str, Any]:
     """Follow the swarm until told to stop, then write the map; gives the summary.
 
     Args:
@@ -54,9 +110,14 @@ def run_observer(config: Config, out: Path | None, control: Control, scans: Path
         out: a prepared folder for the map's files, or None for none.
         control: who says when.
         scans: an npz for the scans that came by (``agent.scan_record``), or None.
+        state: the folder where it remembers things (``agent.keeper``), or None.
+        page: how to show it live, or None for not at all.
+        record: a new file for the log (``agent.recorder``), or None.
+        ros2: the endpoint of ROS 2's router (``agent.ros2``), or None.
 
     Raises:
-        UserError: there are no robots, an endpoint cannot be used, or a file cannot be written.
+        UserError: there are no robots, an endpoint cannot be used, a file cannot be written, or the state is another
+            process's.
     """
     if not config.robots:
         raise UserError(
@@ -64,28 +125,53 @@ def run_observer(config: Config, out: Path | None, control: Control, scans: Path
         )
     if scans is not None:
         prepare_folder(scans.absolute().parent)
-    trails, record = Trails(), ScanRecord()
+    if record is not None:
+        prepare_folder(record.absolute().parent)
+    trails, kept = Trails(), ScanRecord()
+    outlets = open_outlets(record, ros2, config)
+    live = NoPage() if page is None else Page(config, page)
 
     def listen(descriptor: Descriptor, update: Update) -> None:
         trails(descriptor, update)
+        live(descriptor, update)
+        for outlet in outlets:
+            outlet(descriptor, update)
         if scans is not None:
-            record(descriptor, update)
+            kept(descriptor, update)
 
-    with open_bus(config, "observer", None) as bus:
-        node = Node(bus, config.rules(), Hello(Hello.OBSERVER, b"observer", SOFTWARE), listener=listen)
+    with live, open_keeper(config, "observer", state) as keeper, open_bus(config, "observer", None) as bus:
+        hello = Hello(Hello.OBSERVER, b"observer", SOFTWARE)
+        profile = PROFILES[config.radio]
+        node = Node(bus, config.rules(), hello, now=time.monotonic(), profile=profile, listener=listen, keeper=keeper)
         control.tell("ready", name="the observer")
-        node.run(control)
+        if live.url:
+            control.tell("page", url=live.url)
+        show = live.watch(node.peer, node.heard_bytes)
+        watches = [(outlet, outlet.watch(node.peer)) for outlet in outlets]
+        said: set[str] = set()
+
+        def watch(now: float) -> None:
+            show(now)
+            for outlet, turn in watches:
+                turn(now)
+                if outlet.status and outlet.status not in said:
+                    said.add(outlet.status)
+                    control.tell("trouble", what=outlet.status)
+
+        node.run(control, watch)
         grid = Grid.of(node.peer.fusion.tiles, config.rules().lattice)
         # before the bus is left: a mute peer may hold that up for seconds
         files = {} if out is None else write_maps(node.peer, grid, trails, config.roster, out)
         if scans is not None:
-            save_scans(scans, record.sessions())
+            save_scans(scans, kept.sessions())
+        live.end()
         facts = {"tiles": len(node.peer.fusion.tiles), "known_m2": round(grid.known_m2, 6)}
-        return {**facts, **node.summary(), "files": files}
+        told = {key: value for outlet in outlets for key, value in outlet.close().items()}
+        return {**facts, **node.summary(), **told, "files": files}
 
 
 def write_maps(peer: Peer, grid: Grid, trails: Trails, roster: list[str], out: Path) -> dict[str, Any]:
-    """Write the fused map with the robots' trails, and every robot's own contribution beside it.
+    """Write the fused map with the trails of the robots in it, and every robot's own map beside it.
 
     Returns:
         Paths by kind, those of the robots' own maps under ``robots``.
@@ -93,12 +179,14 @@ def write_maps(peer: Peer, grid: Grid, trails: Trails, roster: list[str], out: P
     sessions = sorted(
         peer.replicas.values(), key=lambda replica: (replica.descriptor.robot, replica.descriptor.session)
     )
+    summed = {each.descriptor.session for each in contributions(peer, time.monotonic()) if each.summed}
     drawn = []
     robots: dict[str, str] = {}
     for replica in sessions:
         robot, session = replica.descriptor.robot, replica.descriptor.session
         colour = robot_colour(roster.index(robot) if robot in roster else len(roster))
-        drawn.append(Trail(robot, colour, trails.points(session)))
+        if session in summed:
+            drawn.append(Trail(robot, colour, trails.points(session)))
         stem = f"map-{robot}" if robot not in robots else f"map-{robot}-{session.hex()}"
         own = Grid.of(replica.state.cells, peer.rules.lattice)
         robots[stem.removeprefix("map-")] = str(save_map(out, stem, own)["npz"])

@@ -13,7 +13,7 @@ from agent.paper import Cell, LogOdds, occupancy_grid_mapping
 from agent.paper import probability as p
 from mapping.evidence import EvidenceModel, probability
 from mapping.lattice import Cells, TileKey
-from mapping.raster import raster
+from mapping.raster import raster_rays
 from mapping.rays import Rays
 from mapping.tiles import added
 
@@ -72,7 +72,7 @@ def frames_by_us() -> list[Frame]:
     for step in STEPS:
         ends = np.array([cell_of(reading) for reading in step.readings], np.int64)
         starts = np.tile(np.array(cell_of(step.robot), np.int64), (len(ends), 1))
-        tiles |= added(tiles, raster(Rays(starts, ends, np.ones(len(ends), np.uint8)), EvidenceModel()))
+        tiles |= added(tiles, raster_rays(Rays(starts, ends, np.ones(len(ends), np.uint8)), EvidenceModel()))
         seen = probability(tiles[TileKey(0, 0)])
         frames.append({index: float(seen[cell_of(index)[::-1]]) for index in range(1, SIDE**2 + 1)})
     return frames

@@ -1,7 +1,7 @@
 """Recordings given back to robots: the way in to every format, a log cut into several robots, the body that plays one.
 
-Laws kept here: every scan of a log goes to exactly one robot; start pose and rounding come in once, when a body is
-made.
+Laws kept here: every scan of a log goes to exactly one robot, as it was recorded; the recording's frame is the robot's
+start frame.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ import numpy as np
 from agent import carmen, nano_swarm
 from agent.body import BATCH
 from agent.errors import UserError
+from agent.readings import Readings
 from agent.recording import POSES, Recording
 from mapping.pose import QuantisedPose
-from mapping.scan import Scans, quantise
 
 
 def read(path: Path, *, poses: str | None = None, max_range: float | None = None) -> list[Recording]:
@@ -83,45 +83,41 @@ class RecordedBody:
     """A robot played back from a recording (implements ``Body``).
 
     Every scan is given once, in the recording's order, when its ``due`` time has passed; its published stamp is that
-    time. Rounding happens here, once.
+    time.
 
     Args:
-        recording: what to play.
-        start: ``T_common_start``: the recording's frame in the common frame.
-
-    Raises:
-        UserError: the start pose takes the recording out of the map's bounds.
+        recording: what to play; its frame is the start frame.
     """
 
     patience = 0.02
     status = ""
 
-    def __init__(self, recording: Recording, start: QuantisedPose) -> None:
+    def __init__(self, recording: Recording) -> None:
         self.sensor = recording.sensor
+        self._recording = recording
         self._due = recording.due
-        poses_common = start.pose().compose(recording.poses)  # eq. 8
-        try:
-            self._scans = quantise(self._due, poses_common, recording.ranges, recording.sensor)
-        except ValueError as error:
-            raise UserError(recording.name, str(error), "check the robot's start pose") from error
+        self._stamps_ms = np.rint(self._due * 1000).astype(np.int64)
         self._next = 0
 
-    def read(self, until: float) -> Scans:
+    def place(self, start: QuantisedPose) -> None:
+        """Wherever it lies: nobody drives it."""
+
+    def read(self, until: float) -> Readings:
         """The next scans, at most ``BATCH``, that are due before ``until`` (seconds since the first scan)."""
         due = int(np.searchsorted(self._due, until))
         rows = slice(self._next, max(self._next, min(due, self._next + BATCH)))
         self._next = rows.stop
-        return self._scans[rows]
+        return Readings(self._stamps_ms[rows], self._recording.poses[rows], self._recording.ranges[rows])
 
     @property
     def progress(self) -> tuple[int, int]:
         """Scans given so far, and how many there are."""
-        return self._next, len(self._scans)
+        return self._next, len(self._recording)
 
     @property
     def done(self) -> bool:
         """Whether every scan has been given."""
-        return self._next == len(self._scans)
+        return self._next == len(self._recording)
 
     def close(self) -> None:
         """Nothing moves."""

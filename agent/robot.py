@@ -3,20 +3,25 @@
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from agent.body import Body
-from agent.config import Config, RecordedBody, SerialBody
+from agent.config import Config, LogBody, RecordedBody, SerialBody
 from agent.control import Control, Stopped
 from agent.errors import UserError
+from agent.journal import JournalFullError
+from agent.keeper import open_keeper
 from agent.links import open_bus
 from agent.node import SOFTWARE, Node
+from agent.own_session import OwnSession
 from agent.team_mates import NoMates, TeamMates
-from mapping.pose import QuantisedPose
-from mapping.tiles import Tiles
 from swarm.messages import Hello
+from swarm.radio import PROFILES
 from swarm.writer import MapFullError
 
 _GREETING = 10.0
@@ -37,20 +42,30 @@ class Senses(NamedTuple):
     speed: float
 
 
-def run_robot(config: Config, robot: str, control: Control) -> dict[str, Any]:
+def run_robot(config: Config, robot: str, control: Control, state: Path | None = None) -> dict[str, Any]:
     """Be that robot until told to stop; gives its summary.
+
+    Args:
+        config: the swarm.
+        robot: its id.
+        control: who says when.
+        state: the folder where it remembers things (``agent.keeper``), or None.
 
     Raises:
         UserError: the robot is not in the roster, its recording is bad, nobody answers at its serial port, or its
-            network port is occupied.
+            network port is occupied, or its state is another process's.
     """
     if robot not in config.robots:
         known = ", ".join(config.roster) or "none"
         raise UserError("--robot", f"{robot!r} is not in the roster", f"robots there are: {known}")
     settings = config.robots[robot]
+    if isinstance(settings.body, LogBody):
+        from agent.repeater import run_repeater
+
+        return run_repeater(config, robot, settings.body, control, state)
     start = settings.start.quantised() if settings.start is not None else None
     try:
-        senses = _senses(config, robot, start or QuantisedPose(0, 0, 0), lambda: node.peer.fusion.tiles, control)
+        senses = _senses(config, robot, lambda: own, control)
     except Stopped:
         nothing = dict.fromkeys(("updates", "tiles", "scans", "bytes_sent"), 0)
         return {"id": robot, "session": None, **nothing, "map_digest": None, "dropped": {}}
@@ -59,28 +74,33 @@ def run_robot(config: Config, robot: str, control: Control) -> dict[str, Any]:
             config.rules().lattice.check_range(senses.body.sensor.max_range_mm)
         except ValueError as error:
             raise UserError(f"robots.{robot}.body", str(error), "give a shorter max_range") from None
-        with open_bus(config, robot, config.roster.index(robot)) as bus:
+        index = config.roster.index(robot)
+        with open_keeper(config, robot, state) as keeper, open_bus(config, robot, index) as bus:
             node = Node(
                 bus,
                 config.rules(),
                 Hello(Hello.ROBOT, robot.encode(), SOFTWARE),
+                now=time.monotonic(),
                 body=senses.body,
                 speed=senses.speed,
+                profile=PROFILES[config.radio],
                 listener=senses.mates,
-                corrections=senses.mates.corrections,
+                keeper=keeper,
             )
-            descriptor = node.open_session(robot, start, settings.publish or config.publish)
+            own = node.open_session(robot, start, settings.publish or config.publish, senses.mates)
             control.tell("ready", name=robot)
             try:
                 node.run(control)
             except MapFullError as error:
                 raise UserError(f"robots.{robot}", str(error), "use larger cells") from None
-            own = node.peer.replicas[descriptor.session].state
+            except JournalFullError as error:
+                raise UserError(f"robots.{robot}", str(error), "start its agent again") from None
+            contributed = own.writer.replica.state
             return {
                 "id": robot,
-                "session": descriptor.session.hex(),
-                "updates": own.n,
-                "tiles": len(own.cells),
+                "session": own.descriptor.session.hex(),
+                "updates": contributed.n,
+                "tiles": len(contributed.cells),
                 "scans": node.scans,
                 **node.summary(),
             }
@@ -88,9 +108,7 @@ def run_robot(config: Config, robot: str, control: Control) -> dict[str, Any]:
         senses.body.close()
 
 
-def _senses(
-    config: Config, robot: str, start: QuantisedPose, fused_map: Callable[[], Tiles], control: Control
-) -> Senses:
+def _senses(config: Config, robot: str, own: Callable[[], OwnSession], control: Control) -> Senses:
     """What the configuration says that this robot senses with.
 
     Raises:
@@ -100,15 +118,17 @@ def _senses(
     match config.robots[robot].body:
         case RecordedBody() as settings:
             speed = math.inf if settings.speed == "max" else settings.speed
-            return Senses(_recorded(robot, settings, start), NoMates(), speed)
+            return Senses(_recorded(robot, settings), NoMates(), speed)
         case SerialBody() as settings:
-            return _serial(config, robot, settings, start, fused_map, control)
+            return _serial(config, robot, settings, own, control)
+        case LogBody():
+            raise AssertionError("a log's robot senses nothing")
         case None:
             remedy = 'give it one, such as body = {kind = "serial", port = "/dev/ttyACM0"}'
             raise UserError(f"robots.{robot}", "has no body", remedy)
 
 
-def _recorded(robot: str, settings: RecordedBody, start: QuantisedPose) -> Body:
+def _recorded(robot: str, settings: RecordedBody) -> Body:
     from agent.playback import RecordedBody as Playback
     from agent.playback import read, split
 
@@ -117,16 +137,11 @@ def _recorded(robot: str, settings: RecordedBody, start: QuantisedPose) -> Body:
         raise UserError(settings.path, f"has {len(recordings)} robots", f"give robots.{robot}.body.robot below that")
     if settings.part > settings.parts:
         raise UserError(f"robots.{robot}.body", f"part {settings.part} of {settings.parts}", "count parts from 1")
-    return Playback(split(recordings[settings.robot], settings.parts)[settings.part - 1], start)
+    return Playback(split(recordings[settings.robot], settings.parts)[settings.part - 1])
 
 
 def _serial(
-    config: Config,
-    robot: str,
-    settings: SerialBody,
-    start: QuantisedPose,
-    fused_map: Callable[[], Tiles],
-    control: Control,
+    config: Config, robot: str, settings: SerialBody, own: Callable[[], OwnSession], control: Control
 ) -> Senses:
     from agent.driver import Driver, NoDriver, WaypointDriver
     from agent.explorer import Explorer, blind_angle
@@ -145,13 +160,18 @@ def _serial(
     try:
         hello = greet(link, _GREETING, where=settings.port, stopped=lambda: control.stop)
         sensor = sensor_of(hello, settings.max_range)
-        mates = TeamMates(robot, sensor, rules.model, rules.lattice)
+        mates = TeamMates(robot, sensor)
         driver: Driver = NoDriver()
         if settings.drive and settings.waypoints:
             driver = WaypointDriver(settings.waypoints)
         elif settings.drive:
-            driver = Explorer(fused_map, rules.lattice, mates.positions, look=blind_angle(sensor))
-        body = Wired(link, hello, start, driver=driver, mask=mates, max_range=settings.max_range)
+            driver = Explorer(
+                lambda: own().map,
+                rules.lattice,
+                lambda: mates.positions() if own().placed else np.zeros((0, 2)),
+                look=blind_angle(sensor),
+            )
+        body = Wired(link, hello, driver=driver, max_range=settings.max_range)
     except ValueError as error:
         link.close()
         raise UserError(settings.port, f"its hello makes no sense: {error}", "check the robot's firmware") from None

@@ -1,7 +1,7 @@
-"""From a microcontroller's readings to the scans that a robot publishes.
+"""From a microcontroller's frames to readings, in metres.
 
 Laws kept here: what the sensors are is told by the robot itself, in its hello, so that another set of sensors is no
-other program; readings become whole numbers in one place (``mapping.scan.quantise``).
+other program.
 """
 
 from __future__ import annotations
@@ -12,8 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from mapping.pose import FULL_TURN, Pose
-from mapping.scan import Scans, quantise
+from mapping.pose import FULL_TURN
 from mapping.sensor import ORION_RANGE, Beam, Sensor
 from transport.mcu_frames import RANGE_NOTHING, RANGE_VALID, Hello, Range
 
@@ -41,22 +40,6 @@ def _in_metres(range_mm: int, status: int) -> float:
     if status == RANGE_VALID:
         return range_mm / 1000
     return math.inf if status == RANGE_NOTHING else math.nan
-
-
-def scan(stamp_ms: int, T_common_robot: Pose, ranges: NDArray[np.float64], sensor: Sensor) -> Scans:
-    """One scan as it is published.
-
-    Args:
-        stamp_ms: when it was sensed, milliseconds of swarm time.
-        T_common_robot: where the robot was then.
-        ranges: metres, shape (B,), as ``in_metres`` gives them.
-        sensor: whose readings they are.
-
-    Raises:
-        ValueError: the number of readings is not the sensor's.
-    """
-    pose = (T_common_robot.x, T_common_robot.y, T_common_robot.yaw)
-    return quantise([stamp_ms / 1000], [pose], ranges[None, :], sensor)
 
 
 def points_seen(ranges: NDArray[np.float64], sensor: Sensor) -> NDArray[np.float64]:

@@ -1,8 +1,8 @@
-"""A robot's body behind a serial line: samples become scans, and every sample is answered by a drive.
+"""A robot's body behind a serial line: samples become readings, and every sample is answered by a drive.
 
-sample -> odometry and heading -> the pose in the common frame -> scan, without team-mates -> published by the node;
-the same pose -> the driver -> wheel speeds. The body is the same whether a real robot is at the other end or a
-simulated one.
+sample -> odometry and heading -> the pose in the start frame -> readings -> journal, published by the node;
+the same pose in the common frame -> the driver -> wheel speeds. The body is the same whether a real robot is at the
+other end or a simulated one.
 
 Laws kept here: wheels turn only in answer to a sample, so a robot that says nothing is told nothing and stops by
 itself; nothing that comes over the line raises; what a microcontroller forgets when it restarts is not forgotten here.
@@ -15,15 +15,18 @@ from collections import Counter, deque
 from collections.abc import Callable, Sequence
 from typing import Protocol
 
+import numpy as np
+from numpy.typing import NDArray
+
 from agent.body import BATCH
 from agent.control import Stopped
 from agent.driver import Driver, NoDriver
 from agent.errors import UserError
 from agent.odometry import HEADING_WINDOW, Odometry, Ticks, Wheels
-from agent.scanner import in_metres, points_seen, scan, sensor_of
+from agent.readings import REACH, Readings
+from agent.scanner import in_metres, points_seen, sensor_of
 from agent.swarm_time import SwarmTime
-from mapping.pose import QuantisedPose, from_turn16
-from mapping.scan import Scans
+from mapping.pose import Pose, QuantisedPose, from_turn16
 from mapping.sensor import ORION_RANGE
 from transport.mcu_frames import Hello, Sample
 from transport.mcu_link import Event, LinkBack, LinkLost, Stalled
@@ -33,6 +36,9 @@ _FASTEST = 1.5
 
 _JOLT = 0.05
 """Metres that are forgiven on top."""
+
+_LONGEST_DRIVE_MS = 1000
+"""However seldom a robot senses, it goes no farther than this unseen: 10 cm at 0.1 m/s."""
 
 _ANSWER_TIME = 0.2
 
@@ -51,22 +57,6 @@ class Link(Protocol):
     def close(self) -> None:
         """Stop the wheels and let go of the line."""
         ...
-
-
-class Mask(Protocol):
-    """What takes team-mates out of scans: ``agent.team_mates.TeamMates``."""
-
-    def masked(self, scans: Scans) -> Scans:
-        """The scans as they are to be published."""
-        ...
-
-
-class NoMask:
-    """The mask of a robot that is alone."""
-
-    def masked(self, scans: Scans) -> Scans:
-        """The scans as they are."""
-        return scans
 
 
 def greet(
@@ -108,9 +98,7 @@ class SerialBody:
     Args:
         link: the line to its microcontroller.
         hello: what that said (``greet``).
-        start: ``T_common_start``, where the robot stands when its first sample is sensed.
         driver: where it goes.
-        mask: takes team-mates out of its scans.
         max_range: metres up to which its sensors are trusted.
         heading_window: samples in the heading's moving average.
         unix_ms: the computer's clock, for robots that do not know swarm time.
@@ -120,9 +108,8 @@ class SerialBody:
         sensor: what its scans' ranges mean.
         patience: seconds that whoever reads may sleep at most.
         status: what is wrong, in words; empty if nothing is.
-        pose: ``T_common_robot`` at the newest sample.
         counters: ``samples``; ``restarts`` of the microcontroller; ``other_sensor``: samples that were dropped because
-            the robot has become another one; ``bad_pose``: scans that could not be published.
+            the robot has become another one; ``bad_pose``: scans from farther away than a robot gets.
 
     Raises:
         ValueError: the hello describes no robot.
@@ -134,35 +121,41 @@ class SerialBody:
         self,
         link: Link,
         hello: Hello,
-        start: QuantisedPose,
         *,
         driver: Driver | None = None,
-        mask: Mask | None = None,
         max_range: float = ORION_RANGE,
         heading_window: int = HEADING_WINDOW,
         unix_ms: Callable[[], int] = lambda: time.time_ns() // 1_000_000,
         monotonic: Callable[[], float] = time.monotonic,
     ) -> None:
         self.sensor = sensor_of(hello, max_range)
-        self.pose = start.pose()
         self.status = ""
         self.counters: Counter[str] = Counter()
         self._link = link
         self._hello = hello
-        self._start = start.pose()
+        self._start = Pose()
         self._driver: Driver = NoDriver() if driver is None else driver
-        self._mask: Mask = NoMask() if mask is None else mask
         self._max_range = max_range
         self._wheels = Wheels(hello.ticks_per_metre, hello.wheel_base_um / 1e6)
         self._window = heading_window
         self._time = SwarmTime(unix_ms, monotonic)
         self._odometry: Odometry | None = None
-        self._waiting: deque[Scans] = deque()
+        self._waiting: deque[tuple[int, Pose, NDArray[np.float64]]] = deque()
         self._given = 0
+
+    @property
+    def pose(self) -> Pose:
+        """``T_common_robot`` at the newest sample (eq. 8). It started where it stood at its first one."""
+        return self._start if self._odometry is None else self._start @ self._odometry.pose
 
     # --- agent.body.Body
 
-    def read(self, until: float) -> Scans:
+    def place(self, start: QuantisedPose) -> None:
+        """The start frame lies there from now on; the driver is told how far that moved the robot."""
+        before, self._start = self._start, start.pose()
+        self._driver.placed(self._start @ before.inverse())
+
+    def read(self, until: float) -> Readings:
         """The scans that have come in (at most ``BATCH``). ``until`` is not looked at: a robot has its own time."""
         newest = None
         for event in self._link.receive():
@@ -184,7 +177,11 @@ class SerialBody:
             self._drive(newest)
         batch = [self._waiting.popleft() for _ in range(min(BATCH, len(self._waiting)))]
         self._given += len(batch)
-        return Scans.join(batch) if batch else Scans.empty(len(self.sensor.beams))
+        if not batch:
+            return Readings.empty(len(self.sensor.beams))
+        stamps_ms, poses, ranges = zip(*batch, strict=True)
+        in_rows = np.array([(pose.x, pose.y, pose.yaw) for pose in poses])
+        return Readings(np.array(stamps_ms, np.int64), in_rows, np.array(ranges))
 
     @property
     def progress(self) -> tuple[int, int]:
@@ -224,18 +221,16 @@ class SerialBody:
             self.status = "the robot has other sensors or wheels than before: start its agent again"
             return None
         self.counters["samples"] += 1
-        self._move(sample)
-        try:
-            fresh = scan(self._time.now_ms, self.pose, in_metres(sample.ranges), self.sensor)
-        except ValueError:
+        pose = self._moved(sample)
+        if not max(abs(pose.x), abs(pose.y)) <= REACH:  # NaN compares false
             self.counters["bad_pose"] += 1
             return None
-        self._waiting.append(self._mask.masked(fresh))
+        self._waiting.append((self._time.now_ms, pose, in_metres(sample.ranges)))
         self.status = self._driver.status
         return sample
 
-    def _move(self, sample: Sample) -> None:
-        """Where the robot is now."""
+    def _moved(self, sample: Sample) -> Pose:
+        """Where the robot is now, ``T_start_robot``."""
         ticks = Ticks(sample.left_ticks, sample.right_ticks)
         heading = from_turn16(sample.heading_turn16) if sample.heading_valid else None
         passed_ms = self._time.hear(sample.stamp_ms, self._hello.clock_ms)
@@ -245,7 +240,7 @@ class SerialBody:
             self.counters["restarts"] += 1
             self._odometry = self._odometry.recounted(ticks)
         self._odometry = self._odometry.moved(ticks, heading)
-        self.pose = self._start @ self._odometry.pose  # T_common_start @ T_start_robot, eq. 8
+        return self._odometry.pose
 
     def _is_jump(self, before: Ticks, after: Ticks, seconds: float) -> bool:
         return max(map(abs, self._wheels.rolled(before, after))) > _FASTEST * seconds + _JOLT
@@ -258,7 +253,7 @@ class SerialBody:
         motion = self._driver.drive(self._time.now_ms / 1000, self.pose, seen)
         left, right = (_in_mm_s(speed) for speed in motion.wheels(self._wheels.base))
         # Long enough to bridge two lost samples, short enough to stop before it is where it has not looked.
-        valid_ms = max(300, 3 * self._hello.sample_period_ms)
+        valid_ms = min(max(300, 3 * self._hello.sample_period_ms), _LONGEST_DRIVE_MS)
         self._link.drive(left, right, valid_ms=valid_ms, answers=sample.sequence)
 
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import difflib
 from dataclasses import dataclass
-from importlib import resources
 from itertools import pairwise
 from math import radians
 from pathlib import Path
@@ -23,10 +22,10 @@ from agent.errors import UserError
 from agent.geometry import distances_to_walls, meet_walls
 from agent.obstacle import Obstacle, Shape
 from agent.occupied_cells import NO_CELLS, OccupiedCells
+from agent.packaged_worlds import FOLDER, world_names
 from mapping.evidence import occupied
 from mapping.pose import Pose
 
-_PACKAGED = resources.files("agent") / "worlds"
 _EXAMPLE = "compare it with agent/worlds/paper.yaml"
 
 
@@ -133,11 +132,6 @@ class _File(BaseModel):
     obstacles: list[_Obstacle] = []
 
 
-def world_names() -> list[str]:
-    """The worlds that come with Orion."""
-    return sorted(entry.name.removesuffix(".yaml") for entry in _PACKAGED.iterdir() if entry.name.endswith(".yaml"))
-
-
 def load_world(where: str | Path) -> World:
     """The world of that name, or else in the YAML file of that path.
 
@@ -147,7 +141,7 @@ def load_world(where: str | Path) -> World:
     box), ``radius`` (or half a side), ``speed``, ``waypoints`` and ``loop``.
 
     Raises:
-        UserError: there is no such world, or its file or image is wrong.
+        UserError: there is no such world, its file or image is wrong, or a wall stands between waypoints.
     """
     content = _parse(where, _read(where))
     try:
@@ -158,7 +152,7 @@ def load_world(where: str | Path) -> World:
         raise UserError(f"{where}: walls", "is missing", "add it, or an image")
     chains = checked.walls or []
     walls = [[*a, *b] for chain in chains for a, b in pairwise(zip(chain[::2], chain[1::2], strict=True))]
-    return World(
+    world = World(
         name=str(where),
         walls=np.array(walls, dtype=np.float64).reshape(-1, 4),
         starts=tuple(Pose(start.x, start.y, radians(start.yaw_deg)) for start in checked.starts),
@@ -168,6 +162,23 @@ def load_world(where: str | Path) -> World:
         ),
         cells=NO_CELLS if checked.image is None else _cells(Path(where).parent / checked.image),
     )
+    _check_errands(world)
+    return world
+
+
+def _check_errands(world: World) -> None:
+    """Robots drive straight from waypoint to waypoint.
+
+    Raises:
+        UserError: there is a wall in between.
+    """
+    for k, (start, waypoints) in enumerate(zip(world.starts, world.waypoints, strict=True)):
+        legs = np.diff(np.vstack([(start.x, start.y), waypoints]), axis=0)
+        lengths = np.hypot(*legs.T)
+        room = world.cast(waypoints - legs, np.arctan2(legs[:, 1], legs[:, 0]), float(lengths.max(initial=0.0)))
+        for leg in np.flatnonzero(room < lengths).tolist():
+            place = f"{world.name}: starts[{k}].waypoints[{leg}]"
+            raise UserError(place, "a wall stands on the straight way to it", "move it, or add one that leads round")
 
 
 def _points(points: list[tuple[float, float]]) -> NDArray[np.float64]:
@@ -186,7 +197,7 @@ def _cells(image: Path) -> OccupiedCells:
 def _read(where: str | Path) -> bytes:
     """The bytes of a packaged world or of a file."""
     if where in world_names():
-        return (_PACKAGED / f"{where}.yaml").read_bytes()
+        return (FOLDER / f"{where}.yaml").read_bytes()
     path = Path(where)
     if path.suffix not in {".yaml", ".yml"} and not path.exists():
         raise UserError(f"world {where}", "there is none of that name", f"use {_listed(world_names())}, or a YAML file")

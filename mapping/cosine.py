@@ -45,3 +45,11 @@ def cosine(turn16: NDArray[np.int64]) -> NDArray[np.int64]:
 def sine(turn16: NDArray[np.int64]) -> NDArray[np.int64]:
     """Q14 sine of integer angles: the cosine a quarter turn earlier."""
     return COSINE.take((turn16 - FULL_TURN // 4) & (FULL_TURN - 1))
+
+
+_DIRECTIONS = np.stack([COSINE, sine(np.arange(FULL_TURN))])
+
+
+def direction(turn16: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Q14 cosine and sine of integer angles at once: shape (2, *turn16.shape)."""
+    return _DIRECTIONS.take(turn16 & (FULL_TURN - 1), axis=1)

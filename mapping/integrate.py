@@ -6,10 +6,11 @@ there, and then scans are taken one by one.
 
 from __future__ import annotations
 
+from collections import ChainMap
+
 from mapping.evidence import EvidenceModel
 from mapping.lattice import Cells, Lattice, TileKey
 from mapping.raster import Raster, raster
-from mapping.rays import rays_of
 from mapping.scan import Scans
 from mapping.sensor import Sensor
 from mapping.tiles import Tiles, added
@@ -37,12 +38,10 @@ def integrated(
         ValueError: the scans touch more tiles than one call may.
     """
     if not model.limit:
-        return added(tiles, kernel(rays_of(scans, sensor, lattice), model))
+        return added(tiles, kernel(scans, sensor, lattice, model))
     touched: dict[TileKey, Cells] = {}
-    current = dict(tiles)
+    current = ChainMap(touched, tiles)  # type: ignore[arg-type]  # it is only read
     for row in range(len(scans)):
-        evidence = kernel(rays_of(scans[row : row + 1], sensor, lattice), model)
-        after = added(current, evidence, model.limit)
-        touched.update(after)
-        current.update(after)
+        evidence = kernel(scans[row : row + 1], sensor, lattice, model)
+        touched |= added(current, evidence, model.limit)
     return touched

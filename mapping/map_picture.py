@@ -17,6 +17,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from mapping.evidence import probability
 from mapping.grid import Grid
+from mapping.lattice import Lattice
 
 Colour = tuple[int, int, int]
 
@@ -85,7 +86,26 @@ def trails_png(grid: Grid, trails: Sequence[Trail]) -> bytes:
     picture, pixels_per_cell = _upscaled(grid)
     drawn = picture.convert("RGB")
     _draw_trails(drawn, _Scale.of(grid, pixels_per_cell), trails)
-    legend = _legend(drawn.width, pixels_per_cell / grid.lattice.cell, trails)
+    entries = [(trail.name, trail.colour) for trail in trails]
+    marks = "    ring: start, square: end" if trails else ""
+    return _page(drawn, pixels_per_cell / grid.lattice.cell, entries, marks)
+
+
+def cells_png(colours: NDArray[np.uint8], lattice: Lattice, entries: Sequence[tuple[str, Colour]]) -> bytes:
+    """Cells in colours of their own, with a scale bar and a legend.
+
+    Args:
+        colours: shape (rows, columns, 3), at least one cell; row 0 is north.
+        lattice: the cells' size.
+        entries: what the colours mean.
+    """
+    drawn, pixels_per_cell = _enlarged(colours)
+    return _page(drawn, pixels_per_cell / lattice.cell, entries)
+
+
+def _page(drawn: Image.Image, pixels_per_metre: float, entries: Sequence[tuple[str, Colour]], marks: str = "") -> bytes:
+    """A framed picture with its legend below."""
+    legend = _legend(drawn.width, pixels_per_metre, entries, marks)
     page = Image.new("RGB", (drawn.width + 2 * _MARGIN, drawn.height + legend.height + 2 * _MARGIN), _PAPER)
     page.paste(legend, (_MARGIN, _MARGIN + drawn.height))
     frame = (_MARGIN - 1, _MARGIN - 1, _MARGIN + drawn.width, _MARGIN + drawn.height)
@@ -102,10 +122,14 @@ def brightness(grid: Grid) -> NDArray[np.uint8]:
 
 def _upscaled(grid: Grid) -> tuple[Image.Image, int]:
     """The grey picture and how many pixels wide a cell is."""
-    shades = brightness(grid) if grid.evidence.size else np.full((1, 1), 128, np.uint8)
-    short, long = sorted(shades.shape)
+    return _enlarged(brightness(grid) if grid.evidence.size else np.full((1, 1), 128, np.uint8))
+
+
+def _enlarged(cells: NDArray[np.uint8]) -> tuple[Image.Image, int]:
+    """Cells as squares of pixels, and how many pixels wide one is."""
+    short, long = sorted(cells.shape[:2])
     pixels_per_cell = max(1, min(math.ceil(SHORT_SIDE / short), LONG_SIDE // long))
-    return Image.fromarray(shades.repeat(pixels_per_cell, axis=0).repeat(pixels_per_cell, axis=1)), pixels_per_cell
+    return Image.fromarray(cells.repeat(pixels_per_cell, axis=0).repeat(pixels_per_cell, axis=1)), pixels_per_cell
 
 
 def _png(picture: Image.Image) -> bytes:
@@ -155,21 +179,19 @@ def _draw_line(draw: ImageDraw.ImageDraw, path: NDArray[np.float64], width: floa
     draw.line([(x, y) for x, y in path.tolist()], colour, round(width), joint="curve")
 
 
-def _legend(width: int, pixels_per_metre: float, trails: Sequence[Trail]) -> Image.Image:
-    """A strip as wide as the map: the scale bar, then the robots' names, as many lines as they need."""
+def _legend(width: int, pixels_per_metre: float, named: Sequence[tuple[str, Colour]], marks: str) -> Image.Image:
+    """A strip as wide as the map: the scale bar, then names with their colours, as many lines as they need."""
     font = ImageFont.load_default(15)
-    strip = Image.new("RGB", (width, _LINE * (len(trails) + 3)), _PAPER)
+    strip = Image.new("RGB", (width, _LINE * (len(named) + 3)), _PAPER)
     draw = ImageDraw.Draw(strip)
     metres = _round_length(width / 4 / pixels_per_metre)
     bar, line = metres * pixels_per_metre, 1.4 * _LINE
     draw.line([(1, line - 5), (1, line), (bar, line), (bar, line - 5)], _INK, 2)
-    marks = "    ring: start, square: end" if trails else ""
     draw.text((bar + 10, line), f"{metres:g} m{marks}", _INK, font, anchor="lm")
     x, line = 0.0, line + 1.2 * _LINE
-    shown = [_printable(trail.name) for trail in trails[:_MAX_NAMES]]
-    entries: list[tuple[str, Colour | None]] = [(name, t.colour) for name, t in zip(shown, trails, strict=False)]
-    if len(trails) > _MAX_NAMES:
-        entries.append((f"and {len(trails) - _MAX_NAMES} more", None))
+    entries: list[tuple[str, Colour | None]] = [(_printable(name), colour) for name, colour in named[:_MAX_NAMES]]
+    if len(named) > _MAX_NAMES:
+        entries.append((f"and {len(named) - _MAX_NAMES} more", None))
     for name, colour in entries:
         needed = 34 + draw.textlength(name, font) + 22
         if x > 0 and x + needed > width:

@@ -1,118 +1,221 @@
-"""From rays to evidence, with NumPy alone: Bresenham's cells in closed form, counted, weighed.
+"""From scans to evidence, with NumPy alone: rays as strokes, strokes onto a dense box of cells, the box as tiles.
 
-The k-th cell of a ray of n steps lies at start + round(k * d / n) on each axis, ties away from the start. So all
-cells of all rays are one array expression, and the evidence of a batch is two histograms (algorithms 1 and 2):
-free * (visits that are no hits) + occupied * hits. A ray with a silent end does not visit its last cell.
-``raster_jit`` gives the same integers from compiled loops.
+The evidence of a batch (algorithms 1 and 2) is two sums over the cells of its rays: free for every visit, and what
+occupied is worth more than that for every hit. A ray with a silent end does not visit its last cell.
+
+Few rays, such as one scan of a small robot, cost what the calls of NumPy cost, not what these do. So their cells come
+from the definition in one expression (``_direct``), at a division a visit; many rays are worth the way to strokes.
+
+What makes it fast, here and in ``raster_jit``, which gives the same integers from compiled loops:
+
+* two passes: first the addresses of many cells in one affine expression without a branch (``mapping.strokes``), then
+  one loop that does nothing but add to them;
+* the cells lie in a plain array as large as the batch's box, so that no ray is cut at tiles' borders and no cell is
+  looked up; tiles are cut out of it once a batch. The box costs its area, so a batch that is spread thinly is halved;
+* sums have no bound (``EvidenceModel.limit`` is applied afterwards), so that a visit is one addition.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mapping.evidence import EvidenceModel
-from mapping.lattice import TILE
-from mapping.rays import Rays
+from mapping.lattice import TILE, Lattice
+from mapping.rays import SILENT, Rays, fan, rays_of
+from mapping.scan import Scans
+from mapping.sensor import Sensor
+from mapping.strokes import LENGTH, SHIFT, Box, Strokes, box_of, strokes_of
 from mapping.tiles import Evidence, merged
-
-SHIFT = 26
-"""Fraction bits of a ray's slope.
-
-With f = ceil(|d| * 2^26 / n), (k * f + 2^25) >> 26 is exactly the rounded k * |d| / n for all k <= n <= 4096: the exact
-value plus a half is a multiple of 1 / (2 n), and the error k * 2^-26 is less than that.
-"""
 
 MAX_TILES = 65_536
 """The most tiles that one call may touch (256 MiB): few bytes can describe scans far apart."""
 
-_CHUNK_CELLS = 1 << 19
-_CHUNK_TILES = 1 << 20
+Raster = Callable[[Scans, Sensor, Lattice, EvidenceModel], Evidence]
+"""What scans add to a map, without any limit."""
 
-Raster = Callable[[Rays, EvidenceModel], Evidence]
-"""What rays add to a map, without any limit."""
+BATCH = 1 << 15
+"""Rays that go through the stages together: few enough for the cache, many enough for NumPy."""
+
+_AREA = 1 << 16
+_AREA_A_VISIT = 64
+_MOST_AREA = 1 << 22
+_LANES = 16
+_FEW = 1 << 10
+_K = np.arange(LENGTH, dtype=np.int32)[:, None]
+_FEW_RAYS = 1 << 7
+_FEW_CELLS = 1 << 12
+_ALONG = np.arange(_FEW_CELLS + 1)[:, None]
 
 
-def tile_box(rays: Rays) -> tuple[int, int, int, int]:
-    """The box of tiles around some rays (at least one): ty0, tx0, rows, columns."""
-    ends = np.concatenate([rays.start, rays.end]) // TILE
-    tx0, ty0 = ends.min(axis=0).tolist()
-    tx1, ty1 = ends.max(axis=0).tolist()
-    return ty0, tx0, ty1 - ty0 + 1, tx1 - tx0 + 1
-
-
-def in_chunks(rays: Rays, model: EvidenceModel, raster_chunk: Raster) -> Evidence:
-    """The evidence of many rays, a chunk at a time, so that memory stays bounded wherever a robot was carried.
+def raster(scans: Scans, sensor: Sensor, lattice: Lattice, model: EvidenceModel) -> Evidence:
+    """The evidence of scans, summed over all of them: the kernel that needs nothing but NumPy.
 
     Raises:
-        ValueError: they touch more than ``MAX_TILES`` tiles.
+        ValueError: the scans are another sensor's, or touch more than ``MAX_TILES`` tiles.
     """
-    parts = []
-    touched = 0
-    for chunk in split(rays):
-        parts.append(raster_chunk(chunk, model))
-        touched += len(parts[-1].keys)
-        if touched > MAX_TILES:  # of one chunk or another: how many are there really?
-            parts = [merged(parts)]
-            touched = len(parts[0].keys)
-            if touched > MAX_TILES:
-                raise ValueError(f"rays: {len(rays)} of them touch more than {MAX_TILES} tiles")
-    return merged(parts)
+    if len(scans) * len(fan(sensor, lattice).beam) <= _FEW_RAYS:
+        return raster_rays(rays_of(scans, sensor, lattice), model)
+    batches = (strokes_of(rays_of(some, sensor, lattice)) for some in in_batches(scans, sensor, lattice))
+    return in_boxes(batches, model, box_of, _draw)
 
 
-def split(rays: Rays, most_tiles: int = _CHUNK_TILES) -> list[Rays]:
-    """Chunks, in order, that visit few cells and lie close together."""
-    if len(rays) < 2:
-        return [rays] if len(rays) else []
-    _, _, rows, columns = tile_box(rays)
-    if rows * columns <= most_tiles and int(rays.steps.sum()) + len(rays) <= _CHUNK_CELLS:
-        return [rays]
-    half = len(rays) // 2
-    return split(rays[:half], most_tiles) + split(rays[half:], most_tiles)
-
-
-def slopes(rays: Rays) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """Steps n (R,), fixed-point slopes f (R, 2) and signs (R, 2) of the rays."""
-    d = rays.end - rays.start
-    n = rays.steps
-    f = -((-np.abs(d) << SHIFT) // np.maximum(n, 1)[:, None])
-    return n, f, np.sign(d)
-
-
-def raster(rays: Rays, model: EvidenceModel) -> Evidence:
-    """The evidence of the rays, summed over all of them: occupied at a hit, free before it, nothing behind it.
+def raster_rays(rays: Rays, model: EvidenceModel) -> Evidence:
+    """The evidence of rays: occupied at a hit, free before it, nothing behind it.
 
     At an end without a hit it is free, at a silent one nothing.
 
     Raises:
         ValueError: they touch more than ``MAX_TILES`` tiles.
     """
-    return in_chunks(rays, model, _raster_chunk)
+    if 0 < len(rays) <= _FEW_RAYS and (evidence := _direct(rays, model)) is not None:
+        return bounded(evidence)
+    return in_boxes([strokes_of(rays)], model, box_of, _draw)
 
 
-def _raster_chunk(rays: Rays, model: EvidenceModel) -> Evidence:
-    _, f, sign = slopes(rays)
-    lengths = rays.visits
-    ends = np.cumsum(lengths)
-    ray = np.repeat(np.arange(len(rays)), lengths)
-    k = np.arange(int(ends[-1])) - (ends - lengths)[ray]
+def _direct(rays: Rays, model: EvidenceModel) -> Evidence | None:
+    """The evidence of few short rays (one at least) that share a box which is worth its area; None of others.
 
-    i = rays.start[ray, 0] + sign[ray, 0] * ((k * f[ray, 0] + (1 << SHIFT - 1)) >> SHIFT)
-    j = rays.start[ray, 1] + sign[ray, 1] * ((k * f[ray, 1] + (1 << SHIFT - 1)) >> SHIFT)
+    The k-th cell of a ray of n steps lies k / n of the way from its first to its last, on either axis rounded to the
+    nearest whole number, ties away from the start. A ray that is shorter than the longest waits at its end for nothing.
+    """
+    start, end = rays.start.T, rays.end.T
+    way = end - start
+    far = np.abs(way)
+    n = np.maximum(far[0], far[1])
+    visits = n + (rays.ending != SILENT)
+    longest = int(n.max())
+    corners = np.concatenate([start, end], axis=1) // TILE
+    tx, ty = corners.min(axis=1).tolist()
+    last_tx, last_ty = corners.max(axis=1).tolist()
+    box = Box(ty, tx, last_ty - ty + 1, last_tx - tx + 1)
+    if len(rays) * longest > _FEW_CELLS or not is_worth_its_area(box.area, int(visits.sum())):
+        return None
 
-    ty0, tx0, rows, columns = tile_box(rays)
-    tile = (j // TILE - ty0) * columns + (i // TILE - tx0)
-    touched = np.zeros(rows * columns, np.bool_)
-    touched[tile] = True
-    used = np.flatnonzero(touched)
-    slot = np.cumsum(touched) - 1
-    address = (slot[tile] * TILE + j % TILE) * TILE + i % TILE
+    k, half = _ALONG[: longest + 1], np.maximum(n, 1)
+    units = (k < visits) * np.int32(model.free)  # of each step of each ray
+    units[-1] += rays.hit * np.int32(model.occupied - model.free)
+    aside_i, aside_j = (np.minimum(k, n) * (2 * far[:, None]) + half) // (2 * half)
+    sign_i, sign_j = np.sign(way)
+    first = (start[1] - ty * TILE) * box.stride + (start[0] - tx * TILE)
+    addresses = first + aside_i * sign_i + aside_j * (sign_j * box.stride)
+    cells = np.zeros(box.rows * TILE * box.stride, np.int32)
+    np.add.at(cells, addresses.ravel(), units.ravel())
+    return _cut(cells, box)
 
-    size = len(used) * TILE * TILE
-    visits = np.bincount(address, minlength=size)
-    hits = np.bincount(address[ends[rays.hit] - 1], minlength=size)
-    cells = model.free * (visits - hits) + model.occupied * hits
-    keys = np.stack([used // columns + ty0, used % columns + tx0], axis=1)
-    return Evidence(keys.astype(np.int32), cells.astype(np.int32).reshape(-1, TILE, TILE))
+
+def in_batches(scans: Scans, sensor: Sensor, lattice: Lattice) -> Iterator[Scans]:
+    """Scans with about ``BATCH`` rays at a time, one at least."""
+    size = max(1, BATCH // len(fan(sensor, lattice).beam))
+    return (scans[first : first + size] for first in range(0, len(scans), size))
+
+
+def in_boxes(
+    batches: Iterable[Strokes],
+    model: EvidenceModel,
+    box_of: Callable[[Strokes], Box],
+    draw: Callable[[list[Strokes], Box, EvidenceModel], Evidence],
+) -> Evidence:
+    """The evidence of many strokes, drawn a box at a time, so that memory stays bounded wherever a robot was carried.
+
+    Args:
+        batches: strokes in the order of their scans, so that neighbours lie close together.
+        model: what readings are worth.
+        box_of: as ``mapping.strokes.box_of``.
+        draw: the evidence of all strokes in a list, given the box around them.
+
+    Raises:
+        ValueError: they touch more than ``MAX_TILES`` tiles.
+    """
+    parts: list[Evidence] = []
+    touched = 0
+    for together, box in _grouped([(strokes, box_of(strokes)) for strokes in batches if len(strokes)], box_of):
+        parts.append(draw(together, box, model))
+        touched += len(parts[-1].keys)
+        if touched > MAX_TILES:  # of one part or another: how many are there really?
+            parts = [bounded(merged(parts))]
+            touched = len(parts[0].keys)
+    return merged(parts)
+
+
+def bounded(evidence: Evidence) -> Evidence:
+    """The evidence, if it touches no more tiles than one call may.
+
+    Raises:
+        ValueError: it does.
+    """
+    if len(evidence.keys) > MAX_TILES:
+        raise ValueError(f"rays: they touch more than {MAX_TILES} tiles")
+    return evidence
+
+
+def is_worth_its_area(area: int, visits: int) -> bool:
+    """Whether strokes that visit so many cells may be drawn onto one box of that area."""
+    return area <= _AREA or area <= min(_AREA + _AREA_A_VISIT * visits, _MOST_AREA)
+
+
+def _grouped(
+    batches: list[tuple[Strokes, Box]], box_of: Callable[[Strokes], Box]
+) -> Iterator[tuple[list[Strokes], Box]]:
+    """Strokes that share a box which is worth its area in visits, or small anyhow."""
+    if not batches:
+        return
+    box = Box.around([box for _, box in batches])
+    visits = sum(int(strokes["visits"].sum()) for strokes, _ in batches)
+    if not is_worth_its_area(box.area, visits) and len(batches) + len(batches[0][0]) > 2:
+        if len(batches) == 1:
+            ((strokes, _),) = batches
+            batches = [(half, box_of(half)) for half in np.array_split(strokes, 2)]
+        half = len(batches) // 2
+        yield from _grouped(batches[:half], box_of)
+        yield from _grouped(batches[half:], box_of)
+        return
+    yield [strokes for strokes, _ in batches], box
+
+
+def _draw(batches: list[Strokes], box: Box, model: EvidenceModel) -> Evidence:
+    cells = np.zeros(box.rows * TILE * box.stride, np.int32)
+    for strokes in batches:
+        _add(cells, strokes, box, model)
+    return _cut(cells, box)
+
+
+def _add(cells: NDArray[np.int32], strokes: Strokes, box: Box, model: EvidenceModel) -> None:
+    """Strokes of about the same length together are arrays of shape (lanes, strokes) with few lanes too many."""
+    stride, spread = np.int32(box.stride), _LANES if len(strokes) > _FEW else LENGTH
+    order = np.argsort(strokes["visits"], kind="stable")
+    visits, intercept, slope, hit = (strokes[name].take(order) for name in ("visits", "intercept", "slope", "hit"))
+    start = ((strokes["j"] - np.int32(box.ty * TILE)) * stride + (strokes["i"] - np.int32(box.tx * TILE))).take(order)
+    major = (strokes["major_j"] * stride + strokes["major_i"]).take(order)
+    minor = (strokes["minor_j"] * stride + strokes["minor_i"]).take(order)
+    first = 0
+    while first < len(order):
+        longest = -(-int(visits[first]) // spread) * spread
+        some = slice(first, int(visits.searchsorted(np.int16(longest), side="right")))
+        first = some.stop
+        k = _K[: int(visits[first - 1])]
+        addresses = k * slope[some]
+        addresses += intercept[some]
+        addresses >>= SHIFT
+        addresses *= minor[some]
+        addresses += start[some]
+        addresses += k * major[some]
+        common = max(0, longest - spread)  # lanes that all of them have
+        np.add.at(cells, addresses[:common].ravel().astype(np.intp), np.int32(model.free))
+        np.add.at(cells, addresses[common:][k[common:] < visits[some]].astype(np.intp), np.int32(model.free))
+    hits = np.flatnonzero(hit)
+    last = visits[hits] - np.int32(1)
+    aside = (intercept[hits] + last * slope[hits]) >> SHIFT
+    addresses = start[hits] + last * major[hits] + aside * minor[hits]
+    np.add.at(cells, addresses.astype(np.intp), np.int32(model.occupied - model.free))
+
+
+def _cut(cells: NDArray[np.int32], box: Box) -> Evidence:
+    """The tiles of a box that have any evidence."""
+    tiles = cells.reshape(box.rows, TILE, -1)[:, :, : box.columns * TILE]
+    known = np.bitwise_or.reduce(tiles, axis=1).reshape(box.rows, box.columns, TILE).any(axis=2)
+    rows, columns = np.nonzero(known)
+    tiles = tiles.reshape(box.rows, TILE, box.columns, TILE)[rows, :, columns]
+    return Evidence(np.stack([rows + box.ty, columns + box.tx], axis=1).astype(np.int32), tiles)

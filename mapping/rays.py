@@ -8,12 +8,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Self
+from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mapping.cosine import Q, cosine, sine
+from mapping.cosine import Q, direction
 from mapping.lattice import Lattice
 from mapping.pose import FULL_TURN
 from mapping.scan import INVALID, NO_RETURN, Scans
@@ -61,8 +61,7 @@ class Rays:
         return np.asarray(self.steps + (self.ending != SILENT))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Fan:
+class Fan(NamedTuple):
     """A sensor's beams as F thin rays in the robot's frame; int64, shape (F,) each.
 
     Attributes:
@@ -70,7 +69,8 @@ class Fan:
         x_mm: where it starts.
         y_mm: where it starts.
         bearing_turn16: where it looks; not wrapped.
-        ending: what a reading says at its end: ``HIT`` in the middle of the beam, ``SILENT`` beside it.
+        ending: what a reading says at its end: ``HIT`` in the beam's inner half, ``SILENT`` in its outer half.
+        table: all of these as the rows of one array, shape (5, F).
     """
 
     beam: NDArray[np.int64]
@@ -78,6 +78,7 @@ class Fan:
     y_mm: NDArray[np.int64]
     bearing_turn16: NDArray[np.int64]
     ending: NDArray[np.int64]
+    table: NDArray[np.int64]
 
 
 def spread(half_width_turn16: int, max_range_mm: int, cell_mm: int) -> tuple[int, int]:
@@ -102,17 +103,21 @@ def spread(half_width_turn16: int, max_range_mm: int, cell_mm: int) -> tuple[int
 def fan(sensor: Sensor, lattice: Lattice) -> Fan:
     """The thin rays that a sensor's beams are made of: one a thin beam, 2 m + 1 a wide one (``spread``).
 
-    All rays of a beam have its origin and its reading's length. The middle one says what a thin beam's says. The others
-    free their cells strictly before their ends: had there been something, it would have been read; but which of the
-    ends returned the echo nobody knows. Where nothing is in range, all of them free everything up to it.
+    All rays of a beam have its origin and its reading's length. Had there been something nearer, it would have been
+    read, so each frees its cells before its end; but which of the ends returned the echo nobody knows. It is taken for
+    likelier near the axis (as by Moravec and Elfes, 1985): the rays of the inner half, 2 |k| <= m, say what a thin
+    beam's says; those of the outer half say nothing of their ends. If the middle ray alone marked its end, walls would
+    be lost to all the rays beside it that end a little too far; if all did, gaps would close between their corners.
+    Where nothing is in range, all of them free everything up to it.
     """
     rows = []
     for number, (x_mm, y_mm, bearing, half_width) in enumerate(sensor.beams):
         m, step = spread(half_width, sensor.max_range_mm, lattice.cell_mm)
-        rows += [(number, x_mm, y_mm, bearing + k * step, SILENT if k else HIT) for k in range(-m, m + 1)]
+        rows += [(number, x_mm, y_mm, bearing + k * step, HIT if 2 * abs(k) <= m else SILENT) for k in range(-m, m + 1)]
     table = np.array(rows, np.int64).T.copy()
     table.setflags(write=False)
-    return Fan(*table)
+    beam, x_mm, y_mm, bearing, ending = table
+    return Fan(beam, x_mm, y_mm, bearing, ending, table)
 
 
 def rays_of(scans: Scans, sensor: Sensor, lattice: Lattice) -> Rays:
@@ -124,20 +129,20 @@ def rays_of(scans: Scans, sensor: Sensor, lattice: Lattice) -> Rays:
     if scans.beams != len(sensor.beams):
         raise ValueError(f"rays: {scans.beams} readings a scan cannot be broadcast to {len(sensor.beams)} beams")
     beams = fan(sensor, lattice)
-    x, y, yaw = (column[:, None] for column in scans.poses.astype(np.int64).T)
-    ranges = scans.ranges.astype(np.int64)[:, beams.beam]
+    poses = scans.poses.astype(np.int64).T[:, :, None]  # (x, y and yaw, scans, 1)
+    ranges = scans.ranges.take(beams.beam, axis=1).astype(np.int64)
     returned = ranges != NO_RETURN
     reach = np.where(returned, ranges, sensor.max_range_mm)
-    ending = np.where(returned, beams.ending, FREE)
+    ending = np.where(returned, beams.ending, FREE).astype(np.uint8)
 
-    c, s = cosine(yaw), sine(yaw)
-    x0 = (x << Q) + beams.x_mm * c - beams.y_mm * s
-    y0 = (y << Q) + beams.x_mm * s + beams.y_mm * c
-    x1 = x0 + reach * cosine(yaw + beams.bearing_turn16)
-    y1 = y0 + reach * sine(yaw + beams.bearing_turn16)
+    yaw = poses[2]
+    start = (poses[:2] << Q) + beams.x_mm * direction(yaw) + beams.y_mm * direction(yaw + FULL_TURN // 4)
+    end = start + reach * direction(yaw + beams.bearing_turn16)
 
     scale = lattice.cell_mm << Q
     says = ranges != INVALID
-    start = np.stack([x0[says], y0[says]], axis=1) // scale
-    end = np.stack([x1[says], y1[says]], axis=1) // scale
-    return Rays(start, end, ending[says].astype(np.uint8))
+    if says.all():
+        start, end, ending = start.reshape(2, -1), end.reshape(2, -1), ending.ravel()
+    else:
+        start, end, ending = start[:, says], end[:, says], ending[says]
+    return Rays((start // scale).T, (end // scale).T, ending)

@@ -61,8 +61,32 @@ class Score:
     tolerance: float
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Judgement:
+    """A score, and what in the map and in the truth it comes from. Points are metres in the common frame.
+
+    Attributes:
+        score: the numbers.
+        occupied: centres of the occupied cells, shape (K, 2).
+        true: which of them count for the precision, shape (K,).
+        visible: the points of the truth that ought to be in the map, shape (N, 2).
+        found: which of them count for the recall, shape (N,).
+    """
+
+    score: Score
+    occupied: NDArray[np.float64]
+    true: NDArray[np.bool_]
+    visible: NDArray[np.float64]
+    found: NDArray[np.bool_]
+
+
 def score(grid: Grid, truth: Walls | Grid, tolerance: float | None = None) -> Score:
-    """Score a map.
+    """Score a map; see ``judge``."""
+    return judge(grid, truth, tolerance).score
+
+
+def judge(grid: Grid, truth: Walls | Grid, tolerance: float | None = None) -> Judgement:
+    """Score a map, and tell what is right and wrong in it.
 
     Args:
         grid: the map.
@@ -89,14 +113,16 @@ def score(grid: Grid, truth: Walls | Grid, tolerance: float | None = None) -> Sc
     window = _Window.around(cell, tolerance, centres, points)
     found = window.within(centres, _points_as_walls(centres), tolerance)
     true = window.within(points, segments, tolerance)
-    return Score(
-        recall=_share(_near(visible, grid, mask, tolerance)),
-        precision=_share(true[window.cells(centres)]),
+    near, right = _near(visible, grid, mask, tolerance), true[window.cells(centres)]
+    numbers = Score(
+        recall=_share(near),
+        precision=_share(right),
         iou=_share((found & true)[found | true]),
         known_m2=grid.known_m2,
         occupied=len(centres),
         tolerance=tolerance,
     )
+    return Judgement(numbers, centres, right, visible, near)
 
 
 def _share(hits: NDArray[np.bool_]) -> float | None:

@@ -80,6 +80,9 @@ class Sensor:
                 f"expected at most {MAX_WIDTHS_TURN16} (two turns of view)"
             )
 
+    def __hash__(self) -> int:
+        return hash((len(self.beams), self.beams[0], self.max_range_mm))  # kernels look a sensor up in each call
+
     @property
     def table(self) -> NDArray[np.int64]:
         """The beams as an array, shape (B, 4): x_mm, y_mm, bearing_turn16, half_width_turn16."""
@@ -107,9 +110,16 @@ ORION_OFFSET = 0.03
 """d_RS of eq. 2 in metres: the ranging module sits this far ahead of the centre. The paper prints no number."""
 
 
-def orion(max_range: float = ORION_RANGE) -> Sensor:
-    """The paper's ranging module: five VL53L0X, pi/4 apart, bearings of Table I, offset d_RS forward (eq. 2)."""
-    return sensor([(ORION_OFFSET, 0.0, phi - math.pi / 2) for phi in TABLE_I], max_range)
+def orion(max_range: float = ORION_RANGE, *, view: float = 0.0) -> Sensor:
+    """The paper's ranging module: five VL53L0X, pi/4 apart, bearings of Table I, offset d_RS forward (eq. 2).
+
+    Args:
+        max_range: metres.
+        view: each beam's field of view, radians; 0 is a thin ray, as in the paper.
+    """
+    thin = sensor([(ORION_OFFSET, 0.0, phi - math.pi / 2) for phi in TABLE_I], max_range)
+    half_width = round(view / 2 / math.tau * FULL_TURN)
+    return Sensor(tuple(beam._replace(half_width_turn16=half_width) for beam in thin.beams), thin.max_range_mm)
 
 
 def laser(beams: int, *, first: float, step: float, max_range: float) -> Sensor:

@@ -75,7 +75,8 @@ def added(tiles: Tiles, evidence: Evidence, limit: int = 0) -> dict[TileKey, Cel
         before = tiles.get(key)
         after = delta.copy() if before is None else before + delta
         if limit:
-            np.clip(after, -limit, limit, out=after)
+            np.maximum(after, -limit, out=after)  # np.clip takes three times as long to begin
+            np.minimum(after, limit, out=after)
         touched[key] = frozen(after)
     return touched
 
@@ -85,7 +86,10 @@ def summed(maps: list[Tiles]) -> dict[TileKey, Cells]:
     total: dict[TileKey, Cells] = {}
     for tiles in maps:
         for key, cells in tiles.items():
-            total[key] = total[key] + cells if key in total else cells.copy()
+            if (so_far := total.get(key)) is None:
+                total[key] = cells.copy()
+            else:
+                np.add(so_far, cells, so_far)  # by name it would take a third longer to begin
     return total
 
 

@@ -22,6 +22,9 @@ from swarm.tile_block import decode_tiles
 from swarm.timers import Timers
 
 _NEVER = float("inf")
+_FETCH = 64
+"""Tiles that are asked for at once: whoever gives them for the first time is busy with them for some milliseconds."""
+
 _PATIENCE = 3  # unanswered requests for tiles after which a manifest is asked for anew
 
 
@@ -36,10 +39,11 @@ class CatchUp:
         self._session = session
         self._timers = timers
         self._jitter = jitter
-        self._tiles_per_need = Need.fitting(mtu)
+        self._tiles_per_need = min(_FETCH, Need.fitting(mtu))
         self._held: dict[str, int] = {}  # peer -> the n it said it holds
         self._failures: Counter[str] = Counter()
         self._asked: str | None = None
+        self._asked_ever: set[str] = set()  # since it rested: their answers may be late
         self._asked_through = 0
         self._tries = 0
         self._manifest: Manifest | None = None
@@ -70,24 +74,25 @@ class CatchUp:
         """Whether nobody is known to hold more than we do."""
         return self.wake_at == _NEVER
 
-    def behind(self, mine: int) -> bool:
-        """Whether anybody holds more than we do."""
-        return any(n > mine for n in self._held.values())
+    @property
+    def most(self) -> int:
+        """The latest state that anybody is known to hold, -1 if nobody is."""
+        return max(self._held.values(), default=-1)
 
     # --- asking
 
     def poll(self, replica: Replica | None, now: float) -> tuple[str, Want | Need] | None:
         """The next request, and to whom, if it is time for one."""
+        self.expire(now)
         if now < self.wake_at:
             return None
         mine = -1 if replica is None else replica.state.n
-        if self._asked is not None:
-            self._unanswered(self._asked)
         provider = self._provider(mine)
         if provider is None:
             self._rest()
             return None
         self._asked = provider
+        self._asked_ever.add(provider)
         delay = self._timers.retry * self._timers.backoff**self._tries
         self.wake_at = now + min(delay, self._timers.retry_max)
         if self._manifest is not None:
@@ -95,11 +100,23 @@ class CatchUp:
             self._requested = {key for key, _ in some}
             return provider, Need(self._session, self._manifest.n, self._manifest.since, Need.pack(some))
         first = replica.first_pending if replica is not None else None
-        through = 0 if first is None else first - 1
-        self._asked_through = max(mine, 0) + WINDOW if not through else min(through, mine + WINDOW)
-        return provider, Want(self._session, mine, through)
+        window = max(mine, 0) + self._timers.window
+        self._asked_through = window if first is None else min(first - 1, window)
+        needless = first is None and self._timers.window >= WINDOW  # nobody gives more at once
+        return provider, Want(self._session, mine, 0 if needless else self._asked_through)
+
+    @property
+    def asking(self) -> bool:
+        """Whether an answer is waited for."""
+        return self._asked is not None
+
+    def expire(self, now: float) -> None:
+        """Wait no longer for an answer that is overdue."""
+        if self._asked is not None and now >= self.wake_at:
+            self._unanswered(self._asked)
 
     def _unanswered(self, peer: str) -> None:
+        self._asked = None
         self._tries += 1
         self._failures[peer] += 1
         if self._failures[peer] >= self._timers.give_up:
@@ -120,6 +137,7 @@ class CatchUp:
         self._drop_manifest()
         self._got.clear()
         self._asked = None
+        self._asked_ever.clear()
         self._tries = 0
         self._failures.clear()
         self.wake_at = _NEVER
@@ -139,7 +157,7 @@ class CatchUp:
         self._tries = 0
         if self._manifest is not None and self._manifest.n <= mine:
             self._drop_manifest()
-        if not self.behind(mine):
+        if self.most <= mine:
             self._rest()
         elif self._asked is not None and self._manifest is None:
             answered = mine >= self._asked_through
@@ -150,16 +168,18 @@ class CatchUp:
         """Tiles at hand by (key, hash), from a copy that has to be fetched anew."""
         self._got.update(content)
 
-    def offer(self, message: Manifest | TilesMessage, mine: State, now: float) -> State | None:
+    def offer(self, peer: str, message: Manifest | TilesMessage, mine: State, now: float) -> State | None:
         """Take an answer; gives a later state once all its tiles are here and add up to its root.
+
+        A manifest counts only from a peer that was asked; tiles prove themselves, whoever sends them.
 
         Raises:
             Drop: ``not_asked``, ``stale``, ``bad_payload``, ``bad_hash``, ``too_many`` or ``bad_root``.
         """
         if isinstance(message, Manifest):
-            self._take_manifest(message, mine)
-        else:
-            self._take_tiles(message)
+            self._take_manifest(peer, message, mine)
+        elif not self._take_tiles(message):
+            return None
         self._tries = 0
         if self._requested:
             self.wake_at = now + self._timers.retry
@@ -168,8 +188,8 @@ class CatchUp:
         self.wake_at = now
         return None if self._missing else self._completed(mine)
 
-    def _take_manifest(self, manifest: Manifest, mine: State) -> None:
-        if self._asked is None:
+    def _take_manifest(self, peer: str, manifest: Manifest, mine: State) -> None:
+        if peer not in self._asked_ever:
             raise Drop("not_asked")
         newest = 0 if self._manifest is None else self._manifest.n
         if manifest.n <= max(mine.n, newest) or manifest.since > mine.n:
@@ -185,9 +205,11 @@ class CatchUp:
         self._got |= {(key, mark.hash): mine.cells[key] for key, mark in mine.marks.items() if key in listed}
         self._missing = {key: mark.hash for key, mark in listed.items() if (key, mark.hash) not in self._got}
 
-    def _take_tiles(self, message: TilesMessage) -> None:
+    def _take_tiles(self, message: TilesMessage) -> bool:
+        """Keep the tiles that are missing; gives whether there was one."""
         if self._manifest is None:
             raise Drop("not_asked")
+        before = len(self._missing)
         wrong = False
         for key, cells in decode_tiles(message.payload).items():
             check = tile_hash(key, cells)
@@ -199,6 +221,7 @@ class CatchUp:
                 wrong = True
         if wrong:
             raise Drop("bad_hash")
+        return len(self._missing) < before
 
     def _completed(self, mine: State) -> State:
         """The state at the manifest's checkpoint: what it lists, and all else as we have it, for it did not change."""

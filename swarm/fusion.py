@@ -6,16 +6,23 @@ cost, whatever the number of robots and the size of the map.
 
 from __future__ import annotations
 
-from mapping.lattice import Cells, TileKey
-from mapping.tiles import Tiles, frozen, map_digest, summed
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+
+from mapping.lattice import TILE, Cells, TileKey
+from mapping.tiles import Tiles, frozen, map_digest
 from swarm.state import Change
+
+_EMPTY = frozen(np.zeros((TILE, TILE), np.int32))
 
 
 class Fusion:
     """The running sum.
 
     Attributes:
-        tiles: the global map; arrays are replaced, never written.
+        tiles: the global map; arrays are replaced, never written. A tile of which nothing is left stays, all zero, so
+            that whoever draws the map sees it go.
     """
 
     def __init__(self) -> None:
@@ -28,9 +35,18 @@ class Fusion:
             total = self.tiles.get(key)
             self.tiles[key] = delta if total is None else frozen(total + delta)
 
-    def rebuild(self, maps: list[Tiles]) -> None:
+    def resum(self, keys: Iterable[TileKey], maps: Sequence[Tiles]) -> None:
+        """Sum some tiles anew, because a session is summed that was not, or not any more.
+
+        What went into the sum before does not count: not even a copy that has been damaged since leaves a trace.
+        """
+        for key in keys:
+            parts = [tiles[key] for tiles in maps if key in tiles]
+            self.tiles[key] = parts[0] if len(parts) == 1 else frozen(sum(parts, _EMPTY))
+
+    def rebuild(self, maps: Sequence[Tiles]) -> None:
         """Sum all sessions anew."""
-        self.tiles = {key: frozen(cells) for key, cells in summed(maps).items()}
+        self.resum(set(self.tiles).union(*maps), maps)
 
     def digest(self) -> bytes:
         """The map digest (``mapping.tiles.map_digest``)."""

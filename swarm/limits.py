@@ -6,6 +6,12 @@ MAX_MESSAGE = 8 << 20
 MAX_SESSIONS = 4096
 """Sessions a peer holds."""
 
+MAX_CONTROLS = 4096
+"""Control records a peer holds."""
+
+MAX_REVISION = 2**32 - 1
+"""Of one control record."""
+
 MAX_TILES = 65_536
 """Tiles of one session: 256 MiB, or 67 km2 at 1 m, 0.17 km2 at 5 cm."""
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, fields
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple, get_args
 
 import msgpack
 
@@ -107,19 +107,21 @@ class Digest:
     """How far the sender is in the sessions it knows.
 
     Attributes:
-        complete: 1 if it knows no others, 0 if this is an extract.
+        complete: 1 if it follows or refuses no others, 0 if this is an extract.
+        controls: the check of its control records (``swarm.controls.Controls.check``).
         entries: session (8 bytes) and n (uint32), or ``REFUSED``, each.
     """
 
     KIND: ClassVar[int] = 3
     TOPIC: ClassVar[str] = "digest"
     complete: int = _int(0, 1)
+    controls: int = _int(0, _U64)
     entries: bytes = _bytes(0, limits.MAX_SESSIONS * _POSITION.size, _POSITION.size)
 
     @classmethod
-    def of(cls, positions: Iterable[tuple[SessionId, int]], *, complete: bool) -> Digest:
+    def of(cls, positions: Iterable[tuple[SessionId, int]], *, complete: bool, controls: int = 0) -> Digest:
         """A digest of some sessions' n."""
-        return cls(int(complete), b"".join(_POSITION.pack(session, n) for session, n in positions))
+        return cls(int(complete), controls, b"".join(_POSITION.pack(session, n) for session, n in positions))
 
     def positions(self) -> dict[SessionId, int]:
         """The n of each session."""
@@ -128,7 +130,7 @@ class Digest:
     @staticmethod
     def fitting(mtu: int) -> int:
         """How many entries fit into one payload."""
-        return max(1, (mtu - 8) // _POSITION.size)
+        return max(1, (mtu - 17) // _POSITION.size)
 
 
 @dataclass(frozen=True, slots=True)
@@ -230,6 +232,7 @@ class Hello:
         role: ``ROBOT`` or ``OBSERVER``.
         name: the robot's id, or what the observer calls itself.
         software: the sender's program and version.
+        session: the one that it writes; empty if none.
     """
 
     KIND: ClassVar[int] = 8
@@ -239,6 +242,7 @@ class Hello:
     role: int = _int(1, 2)
     name: bytes = _bytes(1, 64)
     software: bytes = _bytes(0, 64)
+    session: bytes = field(default=b"", metadata={"limit": _Bytes(0, 8, 8)})
 
 
 @dataclass(frozen=True, slots=True)
@@ -260,11 +264,45 @@ class Part:
     data: bytes = _bytes(1, limits.MAX_MESSAGE)
 
 
-Message = Session | Update | Digest | Want | Manifest | Need | TilesMessage | Hello | Part
+@dataclass(frozen=True, slots=True)
+class Control:
+    """An operator's decision. Of all about one subject the greatest (revision, issuer, value) is in force.
 
-_KINDS: dict[int, type[Message]] = {
-    kind.KIND: kind for kind in (Session, Update, Digest, Want, Manifest, Need, TilesMessage, Hello, Part)
-}
+    Attributes:
+        setting: ``EVICT`` or ``START_POSE``: how to read the others (``swarm.controls``).
+        subject: what it is about: a session's id, or a robot's.
+        revision: one more than the greatest that its issuer knew.
+        issuer: who decided.
+        value: what was decided.
+    """
+
+    KIND: ClassVar[int] = 10
+    TOPIC: ClassVar[str] = "control"
+    EVICT: ClassVar[int] = 1
+    START_POSE: ClassVar[int] = 2
+    setting: int = _int(1, 2)
+    subject: bytes = _bytes(1, 32)
+    revision: int = _int(1, limits.MAX_REVISION)
+    issuer: bytes = _bytes(8, 8)
+    value: bytes = _bytes(1, 18)
+
+
+@dataclass(frozen=True, slots=True)
+class AskControls:
+    """A request for all control records.
+
+    Attributes:
+        check: of the asker's; whoever has the same has nothing to say.
+    """
+
+    KIND: ClassVar[int] = 11
+    TOPIC: ClassVar[str] = "ask"
+    check: int = _int(0, _U64)
+
+
+Message = Session | Update | Digest | Want | Manifest | Need | TilesMessage | Hello | Part | Control | AskControls
+
+_KINDS: dict[int, type[Message]] = {kind.KIND: kind for kind in get_args(Message)}
 _LIMITS = {kind: [each.metadata["limit"] for each in fields(kind)] for kind in _KINDS.values()}
 _MOST_ELEMENTS = 15
 _NAMES = {kind: [each.name for each in fields(kind)] for kind in _KINDS.values()}

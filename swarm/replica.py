@@ -15,7 +15,7 @@ from swarm.limits import MAX_PENDING, MAX_PENDING_BYTES
 from swarm.messages import Manifest, Message, Need, Session, TilesMessage, Update, Want
 from swarm.session import Descriptor
 from swarm.state import Change, State, Step, changed_tiles
-from swarm.tile_block import encode_tile
+from swarm.tile_block import HARDEST, encode_tile
 
 CHECKPOINT = 20
 """A state is kept every so many updates; the ring holds at least the updates since the one before."""
@@ -27,20 +27,29 @@ WINDOW = 32
 class Replica:
     """One session's copy at one peer.
 
+    Args:
+        descriptor: whose session it is.
+        kernel: see ``mapping.raster``.
+        deflate: zlib's level for the tiles that others ask for.
+
     Attributes:
         descriptor: whose session it is.
         state: the newest state here.
-        checkpoint: the state at the last multiple of ``CHECKPOINT`` that this copy passed or was given.
+        checkpoint: the state at the last multiple of ``CHECKPOINT`` that this copy passed or was given. It moves on by
+            what changed: a map's size costs nothing.
     """
 
-    def __init__(self, descriptor: Descriptor, kernel: Raster) -> None:
+    def __init__(self, descriptor: Descriptor, kernel: Raster, *, deflate: int = HARDEST) -> None:
         self.descriptor = descriptor
         self.state = State()
         self.checkpoint = State()
         self._kernel = kernel
+        self._news: set[TileKey] = set()  # the tiles that changed since the checkpoint
+        self._deflate = deflate
         self._ring: dict[int, Update] = {}  # every update after some n up to state.n, in order
         self._pending: dict[int, Update] = {}
         self._pending_bytes = 0
+        self._entries: dict[TileKey, tuple[int, bytes]] = {}  # the hash of each tile that was asked for, and its entry
 
     # --- following the writer
 
@@ -102,8 +111,10 @@ class Replica:
     def _commit(self, update: Update, step: Step) -> Change:
         change = self.state.apply(step)
         self._ring[update.n] = update
+        self._news.update(step.cells)
         if update.n % CHECKPOINT == 0:
-            self.checkpoint = self.state.copy()
+            self.checkpoint.follow(self.state, self._news)
+            self._news.clear()
             for n in [n for n in self._ring if n <= update.n - CHECKPOINT]:
                 del self._ring[n]
         return change
@@ -113,13 +124,19 @@ class Replica:
         """The earliest update that waits for those before it."""
         return min(self._pending, default=None)
 
+    def updates_after(self, n: int) -> list[Update]:
+        """The updates after ``n`` as far as they are kept: all of them, if ``n`` is not before the checkpoint."""
+        return [update for number, update in self._ring.items() if number > n]
+
     # --- jumping to a checkpoint
 
     def install(self, state: State) -> Change:
         """Become a later state of the same session, verified by whoever fetched it."""
-        before, self.state = self.state, state
-        self.checkpoint = state.copy()
+        before, self.state = self.state, state.copy()
+        self.checkpoint = state
+        self._news.clear()
         self._ring.clear()
+        self._entries.clear()
         for n in [n for n in self._pending if n <= state.n]:
             self._pending_bytes -= len(self._pending.pop(n).payload)
         return _difference(before.cells, state.cells)
@@ -154,12 +171,11 @@ class Replica:
         """The tiles that were asked for, as far as they are here, several a message; else the own manifest."""
         batch = b""
         short = False
-        for key, check in need.wanted():
-            cells = self._content(key, check)
-            if cells is None:
+        for key, check in dict.fromkeys(need.wanted()):
+            entry = self._entry(key, check)
+            if entry is None:
                 short = True
                 continue
-            entry = encode_tile(key, cells)
             if batch and len(batch) + len(entry) > mtu - 24:
                 yield TilesMessage(self.descriptor.session, batch)
                 batch = b""
@@ -168,6 +184,18 @@ class Replica:
             yield TilesMessage(self.descriptor.session, batch)
         if short and self.checkpoint.n > max(need.n, need.since):
             yield self.manifest(need.since)
+
+    def _entry(self, key: TileKey, check: int) -> bytes | None:
+        """A tile as messages carry it; deflated once, however many ask for it."""
+        known, entry = self._entries.get(key, (None, b""))
+        if known == check:
+            return entry
+        cells = self._content(key, check)
+        if cells is None:
+            return None
+        entry = encode_tile(key, cells, self._deflate)
+        self._entries[key] = check, entry
+        return entry
 
     def _content(self, key: TileKey, check: int) -> Cells | None:
         for state in (self.checkpoint, self.state):

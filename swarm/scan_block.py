@@ -25,17 +25,19 @@ _NEAR = 2  # bytes of an escaped yaw or range, which wrap at 16 bits
 
 def encode_scans(scans: Scans) -> bytes:
     """At least one scan, at most ``MAX_SCANS``, of a sensor with any number of beams (none: poses alone)."""
-    stamp, (x, y, yaw) = int(scans.stamps_ms[0]), scans.poses[0].tolist()
     ranges = scans.ranges.astype(np.int64)
-    across, in_time = (pack(_range_residuals(ranges, predictor), _NEAR) for predictor in (_ACROSS, _IN_TIME))
+    across = pack(_range_residuals(ranges, _ACROSS), _NEAR)
+    in_time = pack(_range_residuals(ranges, _IN_TIME), _NEAR) if len(scans) > 1 else across
     predictor = _IN_TIME if len(in_time) < len(across) else _ACROSS
-    yaws = scans.poses[:, 2].astype(np.int64)
+    ways = np.empty((4, len(scans)), np.int64)
+    ways[0], ways[1:] = scans.stamps_ms, scans.poses.T
+    stamps, xs, ys, yaws = _second_differences(ways)
     return b"".join([
-        _HEADER.pack(predictor, len(scans), stamp, x, y, yaw),
-        pack(_second_differences(scans.stamps_ms), _FAR),
-        pack(_second_differences(scans.poses[:, 0].astype(np.int64)), _FAR),
-        pack(_second_differences(scans.poses[:, 1].astype(np.int64)), _FAR),
-        pack(_wrapped(_second_differences(yaws)), _NEAR),
+        _HEADER.pack(predictor, len(scans), *ways[:, 0].tolist()),
+        pack(stamps, _FAR),
+        pack(xs, _FAR),
+        pack(ys, _FAR),
+        pack(_wrapped(yaws), _NEAR),
         in_time if predictor == _IN_TIME else across,
     ])  # fmt: skip
 
@@ -52,60 +54,62 @@ def decode_scans(block: bytes, beams: int, max_range_mm: int) -> Scans:
         Drop: ``bad_payload``.
     """
     try:
-        predictor, count, stamp, x, y, yaw = _HEADER.unpack_from(block)
+        predictor, count, *first = _HEADER.unpack_from(block)
         if predictor not in {_ACROSS, _IN_TIME} or not 1 <= count <= MAX_SCANS:
             raise ValueError("scan block: bad header")
         rest = block[_HEADER.size :]
-        stamp_residuals, rest = unpack(rest, count - 1, _FAR)
-        x_residuals, rest = unpack(rest, count - 1, _FAR)
-        y_residuals, rest = unpack(rest, count - 1, _FAR)
-        yaw_residuals, rest = unpack(rest, count - 1, _NEAR)
+        residuals = np.empty((4, count - 1), np.int64)
+        for row, width in enumerate((_FAR, _FAR, _FAR, _NEAR)):
+            residuals[row], rest = unpack(rest, count - 1, width)
         range_residuals, rest = unpack(rest, count * beams, _NEAR)
     except (ValueError, struct.error):
         raise Drop("bad_payload") from None
-    xs, ys = _integrated(x, x_residuals), _integrated(y, y_residuals)
+    ways = _integrated(first, residuals)
     ranges = _ranges(range_residuals.reshape(count, beams), predictor)
     bad_range = (ranges != INVALID) & (ranges != NO_RETURN) & (ranges > max_range_mm)
-    if rest or max(_largest(xs), _largest(ys)) > MAX_COORDINATE_MM or bad_range.any():
+    if rest or ways[1:3].min() < -MAX_COORDINATE_MM or ways[1:3].max() > MAX_COORDINATE_MM or bad_range.any():
         raise Drop("bad_payload")
-    poses = np.stack([xs, ys, _integrated(yaw, yaw_residuals) % FULL_TURN], axis=1).astype(np.int32)
-    return Scans(_integrated(stamp, stamp_residuals), poses, ranges.astype(np.uint16))
+    ways[3] %= FULL_TURN
+    return Scans(ways[0].copy(), ways[1:].T.astype(np.int32, order="C"), ranges.astype(np.uint16))
 
 
-def _largest(values: NDArray[np.int64]) -> int:
-    return max(abs(int(values.min())), abs(int(values.max())))
+def _second_differences(ways: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Of each row of N, the differences of the N - 1 steps from the step before, the first from a step of zero."""
+    steps = ways[:, 1:] - ways[:, :-1]
+    steps[:, 1:] -= steps[:, :-1].copy()
+    return steps
 
 
-def _second_differences(values: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Differences of the N - 1 steps from the step before, the first from a step of zero."""
-    return np.diff(np.diff(values), prepend=0)
-
-
-def _integrated(first: int, residuals: NDArray[np.int64]) -> NDArray[np.int64]:
-    return np.concatenate([[first], first + np.cumsum(np.cumsum(residuals))]).astype(np.int64)
+def _integrated(first: list[int], residuals: NDArray[np.int64]) -> NDArray[np.int64]:
+    ways = np.empty((len(residuals), residuals.shape[1] + 1), np.int64)
+    ways[:, 0] = first
+    ways[:, 1:] = residuals.cumsum(axis=1).cumsum(axis=1)
+    ways[:, 1:] += ways[:, :1]
+    return ways
 
 
 def _wrapped(values: NDArray[np.int64]) -> NDArray[np.int64]:
     """Modulo 2^16, as a signed number."""
-    return (values + (1 << 15)) % (1 << 16) - (1 << 15)
+    return ((values + (1 << 15)) & 0xFFFF) - (1 << 15)
 
 
 def _range_residuals(ranges: NDArray[np.int64], predictor: int) -> NDArray[np.int64]:
     """Across: row-major differences from the beam before, the first from the previous scan's first, that from 0."""
+    residuals = ranges.copy()
     if predictor == _IN_TIME:
-        first = np.diff(ranges[0], prepend=0)
-        return _wrapped(np.concatenate([first, np.diff(ranges, axis=0).ravel()]))
-    residuals = np.diff(ranges, axis=1, prepend=0)
-    residuals[:, :1] = np.diff(ranges[:, :1], axis=0, prepend=0)
+        residuals[1:] -= ranges[:-1]
+        residuals[0, 1:] -= ranges[0, :-1]
+    else:
+        residuals[:, 1:] -= ranges[:, :-1]
+        residuals[1:, :1] -= ranges[:-1, :1]
     return _wrapped(residuals.ravel())
 
 
 def _ranges(residuals: NDArray[np.int64], predictor: int) -> NDArray[np.int64]:
-    residuals = residuals.copy()
     if predictor == _IN_TIME:
-        residuals[0] = np.cumsum(residuals[0])
-        total = np.cumsum(residuals, axis=0)
+        residuals[0] = residuals[0].cumsum()
+        total = residuals.cumsum(axis=0)
     else:
-        residuals[:, :1] = np.cumsum(residuals[:, :1], axis=0)
-        total = np.cumsum(residuals, axis=1)
-    return np.asarray(total % (1 << 16), dtype=np.int64)
+        residuals[:, :1] = residuals[:, :1].cumsum(axis=0)
+        total = residuals.cumsum(axis=1)
+    return np.asarray(total & 0xFFFF, dtype=np.int64)

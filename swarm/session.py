@@ -1,7 +1,7 @@
 """A session: one run of one robot, and all that decides what its scans are worth.
 
 Laws kept here: a session's descriptor never changes; only its robot writes it; after any restart the robot opens a new
-one, and the old one stays as valid evidence.
+one, and the old one stays as valid evidence, unless the new one says that it replaces it.
 """
 
 from __future__ import annotations
@@ -52,6 +52,7 @@ class Descriptor:
         rules: the lattice and the evidence model that its cells are made with.
         sensor: its beams and range.
         start: its start pose in the common frame, or None if nobody knows it; then it is not summed.
+        replaces: an earlier session of the same robot, in whose place this one is summed, or None.
     """
 
     robot: str
@@ -59,12 +60,17 @@ class Descriptor:
     rules: Rules
     sensor: Sensor
     start: QuantisedPose | None
+    replaces: SessionId | None = None
 
     def __post_init__(self) -> None:
         if not ROBOT_ID.fullmatch(self.robot):
             raise ValueError(f"robot id {self.robot!r}: expected 1 to 32 letters, digits, - or _")
         if len(self.session) != 8:
             raise ValueError(f"session id: expected 8 bytes, got {len(self.session)}")
+        if self.replaces is not None and len(self.replaces) != 8:
+            raise ValueError(f"session id to replace: expected 8 bytes, got {len(self.replaces)}")
+        if self.replaces == self.session:
+            raise ValueError(f"session {self.session.hex()}: it cannot replace itself")
         self.rules.lattice.check_range(self.sensor.max_range_mm)
 
     @property
@@ -88,6 +94,7 @@ class Descriptor:
             self.sensor.max_range_mm,
             b"".join(_BEAM.pack(*beam) for beam in self.sensor.beams),
             b"" if self.start is None else _START.pack(*self.start),
+            self.replaces or b"",
         ]
         return bytes(msgpack.packb(fields))
 
@@ -100,7 +107,7 @@ class Descriptor:
         """
         try:
             fields = msgpack.unpackb(data, max_array_len=16, max_map_len=0, max_ext_len=0, raw=True)
-            robot, session, cell_mm, occupied, free, limit, rule, max_range_mm, beams, start = fields
+            robot, session, cell_mm, occupied, free, limit, rule, max_range_mm, beams, start, replaces = fields
             if rule != _RULE_EVERY_RAY or not all(type(field) is int for field in fields[2:8]):
                 raise ValueError("descriptor: unknown rule")
             descriptor = cls(
@@ -109,6 +116,7 @@ class Descriptor:
                 Rules(Lattice(cell_mm), EvidenceModel(occupied, free, limit)),
                 Sensor(tuple(Beam(*beam) for beam in _BEAM.iter_unpack(beams)), max_range_mm),
                 QuantisedPose(*_START.unpack(start)) if start else None,
+                bytes(replaces) if replaces else None,
             )
         except Exception:  # msgpack raises many kinds on hostile bytes
             raise Drop("bad_descriptor") from None
@@ -121,7 +129,11 @@ class Descriptor:
 
 def refusal(ours: Rules, descriptor: Descriptor) -> str | None:
     """Why a session cannot be summed with ours, in words for a person, or None if it can."""
-    theirs = descriptor.rules
+    return difference(ours, descriptor.rules)
+
+
+def difference(ours: Rules, theirs: Rules) -> str | None:
+    """What other rules have that ours have not, in words for a person, or None if they are the same."""
     if theirs.lattice != ours.lattice:
         return f"cell size {theirs.lattice.cell} m, ours is {ours.lattice.cell} m"
     for name in ("occupied", "free", "limit"):

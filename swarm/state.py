@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import struct
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -60,6 +60,12 @@ class State:
         """The same state, which stays when this one moves on. Shares the arrays."""
         return State(self.n, self.cells.copy(), self.marks.copy(), self.check)
 
+    def follow(self, later: State, keys: Iterable[TileKey]) -> None:
+        """Become a later state of the same session, given the tiles in which it may differ."""
+        for key in keys:
+            self.cells[key], self.marks[key] = later.cells[key], later.marks[key]
+        self.n, self.check = later.n, later.check
+
     def root(self) -> bytes:
         """BLAKE2b-128 over all tiles in order of (ty, tx): ty, tx, version (uint32), hash (uint64), little-endian."""
         digest = hashlib.blake2b(digest_size=16)
@@ -99,7 +105,7 @@ class State:
         check = self.check
         for key, mark in marks.items():
             check += mark.hash - (self.marks[key].hash if key in self.marks else 0)
-        if len(self.cells.keys() | new.keys()) > MAX_TILES:
+        if len(self.cells) + sum(key not in self.cells for key in new) > MAX_TILES:
             raise Drop("too_many")
         return Step(self.n + 1, new, marks, check % 2**64)
 

@@ -19,20 +19,27 @@ from swarm.drops import Drop
 from swarm.limits import MAX_TILE_COORDINATE, MAX_TILES
 
 _ENTRY = struct.Struct("<iiH")
+ENTRY_HEADER = _ENTRY.size
+"""Bytes of an entry before its deflate stream."""
+
 _TILE_BYTES = TILE * TILE * 4
 _CHANGE_BYTES = 2 + 4
 _MAX_CHANGE_BYTES = TILE * TILE * _CHANGE_BYTES
 
 
-def _deflated(key: TileKey, content: bytes) -> bytes:
-    squeezer = zlib.compressobj(9, zlib.DEFLATED, -15)
+HARDEST = 9
+"""zlib's level that takes the longest and gives the fewest bytes."""
+
+
+def _deflated(key: TileKey, content: bytes, level: int) -> bytes:
+    squeezer = zlib.compressobj(level, zlib.DEFLATED, -15)
     data = squeezer.compress(content) + squeezer.flush()
     return _ENTRY.pack(*key, len(data)) + data
 
 
-def encode_tile(key: TileKey, cells: Cells) -> bytes:
-    """One whole tile as an entry."""
-    return _deflated(key, cells.astype("<i4").tobytes())
+def encode_tile(key: TileKey, cells: Cells, level: int = HARDEST) -> bytes:
+    """One whole tile as an entry, deflated at one of zlib's levels."""
+    return _deflated(key, cells.astype("<i4").tobytes(), level)
 
 
 def encode_changes(key: TileKey, before: Cells | None, after: Cells) -> bytes:
@@ -40,7 +47,7 @@ def encode_changes(key: TileKey, before: Cells | None, after: Cells) -> bytes:
     old = np.zeros(TILE * TILE, np.int32) if before is None else before.ravel()
     new = after.ravel()
     index = np.flatnonzero(old != new)
-    return _deflated(key, index.astype("<u2").tobytes() + new[index].astype("<i4").tobytes())
+    return _deflated(key, index.astype("<u2").tobytes() + new[index].astype("<i4").tobytes(), HARDEST)
 
 
 def decode_tiles(block: bytes) -> dict[TileKey, Cells]:

@@ -18,6 +18,8 @@ class Timers:
         jitter: shortest and longest wait before a gap is asked about; it usually closes by itself.
         retry: wait for an answer before somebody else is asked; grows by ``backoff`` up to ``retry_max``.
         give_up: unanswered requests after which a peer is not asked again until it speaks.
+        window: the most updates that are asked for at once; no more than ``swarm.replica.WINDOW`` are given.
+        fetches: the most sessions about which a peer waits for answers at once.
     """
 
     update_period: float = 0.05
@@ -30,7 +32,22 @@ class Timers:
     retry_max: float = 3.0
     backoff: float = 1.3
     give_up: int = 8
+    window: int = 32
+    fetches: int = 16
 
 
 LAN = Timers()
 """For Ethernet and Wi-Fi."""
+
+RADIO = Timers(
+    update_period=2.0,
+    digest_min=2.0,
+    digest_max=16.0,
+    settle=4.0,
+    jitter=(0.1, 0.3),
+    retry=3.0,
+    retry_max=20.0,
+    window=8,
+    fetches=4,
+)
+"""For a few kbit/s that all share: one packet takes a tenth of a second, and an answer waits its turn for seconds."""

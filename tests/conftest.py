@@ -27,7 +27,11 @@ def recordings_dir() -> Path:
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
-    """One line on the tests that did not run for want of recordings."""
+    """A line each on the tests that did not run for want of recordings or of a browser."""
     skipped = [report for report in terminalreporter.getreports("skipped") if "recordings" in report.keywords]
     if skipped:
         terminalreporter.write_line(f"{len(skipped)} recordings tests were SKIPPED: {_HOW}", yellow=True, bold=True)
+    unseen = [report for report in terminalreporter.getreports("skipped") if "browser" in report.keywords]
+    if unseen:
+        how = "install chromium and chromium-driver, and build web/"
+        terminalreporter.write_line(f"{len(unseen)} browser tests were SKIPPED: {how}", yellow=True, bold=True)

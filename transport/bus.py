@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Protocol, Self
 
@@ -47,6 +48,9 @@ class Left:
 
 
 Event = Message | Joined | Left
+
+Answers = Callable[[], Iterable[tuple[str, bytes]]]
+"""What there is to show now: values by name. A name is one or more words with slashes between."""
 
 
 class BusError(OSError):
@@ -89,6 +93,15 @@ class Bus(Protocol):
 
     def receive(self, timeout: float = 0.0) -> list[Event]:
         """Everything that came in, oldest first; waits up to ``timeout`` seconds if there is nothing yet."""
+        ...
+
+    def serve(self, topic: str, answers: Answers) -> None:
+        """Show values to whoever asks for them without being a peer, on a bus that carries questions.
+
+        Args:
+            topic: a plain word, under which they are found.
+            answers: gives them; called by a thread of the bus, so it may read only what is never written.
+        """
         ...
 
     def close(self) -> None:

@@ -1,4 +1,4 @@
-"""The bounded queue between the thread that reads a line and the thread that owns the robot.
+"""The bounded queue between a thread that works a wire and the thread that owns what is said there.
 
 Laws kept here: putting never waits for the reader; what is taken comes in the order in which it was put; when there is
 no room, the oldest goes and is counted. So the newest is always there, and with it how things stand.
@@ -32,7 +32,8 @@ class FrameQueue(Generic[Item]):
         with self._something:
             if self._closed:
                 return
-            self._counters["dropped_queue_full"] += len(self._waiting) == self._waiting.maxlen
+            if len(self._waiting) == self._waiting.maxlen:
+                self._counters["dropped_queue_full"] += 1
             self._waiting.append(item)
             self._something.notify()
 

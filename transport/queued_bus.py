@@ -11,7 +11,7 @@ from abc import ABC, abstractmethod
 from collections import Counter
 from typing import Self
 
-from transport.bus import Event, PeerId, checked_name
+from transport.bus import Answers, Event, PeerId, checked_name
 from transport.inbox import Inbox
 
 
@@ -51,6 +51,10 @@ class QueuedBus(ABC):
     def receive(self, timeout: float = 0.0) -> list[Event]:
         """See `Bus.receive`."""
         return self.inbox.take(timeout)
+
+    def serve(self, topic: str, answers: Answers) -> None:
+        """See `Bus.serve`. Most wires carry no questions: nobody asks."""
+        checked_name("topic", topic)
 
     def close(self) -> None:
         """See `Bus.close`."""

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 
 class Endpoints(NamedTuple):
-    """What one peer listens on and connects to, as Zenoh writes it: ``tcp/127.0.0.1:7450``."""
+    """What one peer listens on and connects to, as Zenoh writes it (our ZeroMQ bus too): ``tcp/127.0.0.1:7450``."""
 
     listen: list[str]
     connect: list[str]

@@ -4,8 +4,8 @@ Laws kept here: nothing is listened on or connected to but the endpoints given (
 threads never enter Python, ours only put into the inbox; a stalled peer costs a publisher a millisecond, then its copy
 is dropped by Zenoh, uncounted; the session is closed however the process ends.
 
-Keys: ``orion/<swarm>/<peer>/<topic>`` to all, ``orion/<swarm>/<peer>/to/<other>`` to one, and the liveliness token
-``orion/<swarm>/<peer>/alive``.
+Keys: ``orion/<swarm>/<peer>/<topic>`` to all, ``orion/<swarm>/<peer>/to/<other>`` to one, the liveliness token
+``orion/<swarm>/<peer>/alive``, and ``orion/<swarm>/<peer>/<topic>/**`` for what anybody may ``get``.
 """
 
 from __future__ import annotations
@@ -14,12 +14,13 @@ import contextlib
 import json
 import threading
 import weakref
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from typing import TypeVar
 
 import zenoh
-from zenoh.handlers import FifoChannel, Handler
+from zenoh.handlers import FifoChannel, RingChannel
 
-from transport.bus import MTU, BusError, Joined, Left, Message, PeerId, checked_name, is_name
+from transport.bus import MTU, Answers, BusError, Joined, Left, Message, PeerId, checked_name, is_name
 from transport.inbox import Inbox
 from transport.queued_bus import QueuedBus
 
@@ -34,15 +35,18 @@ _SETTINGS: dict[str, object] = {
     "open/return_conditions": {"connect_scouted": False, "declares": False},  # and Joined tells who has come
     "listen/timeout_ms": 0,
     "listen/exit_on_failure": True,
-    "transport/link/tx/lease": 2_000,  # a pulled cable is noticed after this many ms
+    "transport/link/tx/lease": 6_000,  # a pulled cable is noticed after this many ms; at 20 kbit/s words take seconds
     "transport/unicast/lowlatency": False,  # it loses long messages without a word
     "transport/shared_memory/enabled": False,  # it leaves files behind when a process is killed
 }
 
-_Subscriber = zenoh.Subscriber[Handler[zenoh.Sample]]
+_T = TypeVar("_T")
 
 _WAITING = 1_024
 """Samples between Zenoh's thread and ours; it is full only while something else holds the interpreter for long."""
+
+_QUESTIONS = 16
+"""Questions that wait for an answer; the oldest is given up for a new one."""
 
 
 class ZenohBus(QueuedBus):
@@ -102,13 +106,19 @@ class ZenohBus(QueuedBus):
         self._pump(alive, _seeing(self.inbox, self.peer))
         self._token = liveliness.declare_token(f"{self._prefix}/{self.peer}/alive")
 
-    def _pump(self, subscriber: _Subscriber, handle: Callable[[zenoh.Sample], None]) -> None:
-        """Carry samples into the inbox until the session closes.
+    def serve(self, topic: str, answers: Answers) -> None:
+        """See `Bus.serve`."""
+        prefix = f"{self._prefix}/{self.peer}/{checked_name('topic', topic)}"
+        questions = self._session.declare_queryable(f"{prefix}/**", RingChannel(_QUESTIONS))
+        self._pump(questions, _answering(prefix, answers))
+
+    def _pump(self, source: Iterable[_T], handle: Callable[[_T], None]) -> None:
+        """Carry what comes in to whoever handles it until the session closes.
 
         A thread of our own, because a callback costs more: on Zenoh's thread it waits for the interpreter once a
         sample (a busy reader then gets 200 a second), on the thread Zenoh makes for it the process never ends.
         """
-        pump = threading.Thread(target=_carry, args=(subscriber, handle), name=f"{self.peer} pump", daemon=True)
+        pump = threading.Thread(target=_carry, args=(source, handle), name=f"{self.peer} pump", daemon=True)
         self._pumps.append(pump)
         pump.start()
 
@@ -164,9 +174,9 @@ def _shut(session: zenoh.Session, pumps: Sequence[threading.Thread]) -> None:
             pump.join(timeout=1.0)
 
 
-def _carry(subscriber: _Subscriber, handle: Callable[[zenoh.Sample], None]) -> None:
-    for sample in subscriber:
-        handle(sample)
+def _carry(source: Iterable[_T], handle: Callable[[_T], None]) -> None:
+    for each in source:
+        handle(each)
 
 
 def _hearing(inbox: Inbox, own: PeerId, mtu: int) -> Callable[[zenoh.Sample], None]:
@@ -199,6 +209,17 @@ def _seeing(inbox: Inbox, own: PeerId) -> Callable[[zenoh.Sample], None]:
             inbox.put(Left(peer))
 
     return see
+
+
+def _answering(prefix: str, answers: Answers) -> Callable[[zenoh.Query], None]:
+    def answer(query: zenoh.Query) -> None:
+        with query, contextlib.suppress(zenoh.ZError):  # who asked is gone, or we are
+            for name, value in answers():
+                key = zenoh.KeyExpr(f"{prefix}/{name}")
+                if query.key_expr.intersects(key):
+                    query.reply(key, value)
+
+    return answer
 
 
 def _peer_of(sample: zenoh.Sample) -> PeerId:

@@ -16,7 +16,6 @@ from hypothesis import strategies as st
 from agent.carmen import read
 from agent.errors import UserError
 from agent.playback import RecordedBody
-from mapping.pose import QuantisedPose
 
 HEADER = (
     "# message formats defined: PARAM SYNC ODOM FLASER RLASER TRUEPOS\nPARAM robot_frontlaser_offset 0.0 nohost 0\n"
@@ -280,7 +279,7 @@ def test_a_damaged_log_is_read_or_refused(tmp_path_factory: pytest.TempPathFacto
     assert np.isfinite(recording.poses).all()
     assert np.isfinite(recording.stamps).all()
     assert not (recording.ranges <= 0).any()
-    body = RecordedBody(recording, QuantisedPose(0, 0, 0))
+    body = RecordedBody(recording)
     assert len(body.read(math.inf)) == len(recording)
 
 

@@ -89,13 +89,13 @@ def test_orion_alone_and_its_help_list_the_commands(orion) -> None:
     for said in (orion(), orion("--help"), orion("map")):
         assert said.status in {0, 2}  # typer's choice differs by version where no word is given
     text = orion("--help").out
-    assert all(word in text for word in ("demo", "replay", "agent", "observe", "simulate", "map"))
+    assert all(word in text for word in ("demo", "replay", "agent", "observe", "simulate", "doctor", "map"))
     assert "--supervised" not in orion("agent", "--help").out
 
 
 def test_help_does_not_wait_for_heavy_imports() -> None:
     """0.4 s on two busy cores, most of it Python and typer."""
-    heavy = {"numpy", "zenoh", "pydantic", "numba", "yaml", "PIL", "msgpack"}
+    heavy = {"numpy", "zenoh", "zmq", "pydantic", "numba", "yaml", "PIL", "msgpack"}
     program = f"import sys, agent.cli; print(*sorted({heavy!r} & sys.modules.keys()))"
     words = [sys.executable, "-c", program]
     assert subprocess.run(words, capture_output=True, text=True, check=True).stdout.split() == []
@@ -204,8 +204,11 @@ def test_a_bad_configuration_is_one_line(orion, tmp_path: Path, out: Path, comma
         (["demo", "--robots", "3"], "--robots: is 3, but world 'paper' has 2 starts"),
         (["demo", "--world", "atlantis"], f"world atlantis: there is none of that name; use {WORLDS}, or a YAML"),
         (["demo", "--world", "atlantis.yaml"], "atlantis.yaml: no such file or directory"),
-        (["demo", "--radio", "loud"], "--radio: radio: input should be 'lan', got 'loud'"),
-        (["demo", "--transport", "pigeon"], "--transport: transport: input should be 'zenoh'"),
+        (
+            ["demo", "--radio", "loud"],
+            "--radio: radio: input should be 'lan', 'digimesh-1hop', 'digimesh-3hop' or 'digimesh-6hop', got 'loud'",
+        ),
+        (["demo", "--transport", "pigeon"], "--transport: transport: input should be 'zenoh' or 'zmq'"),
         (["demo", "--publish", "loud"], "--publish: publish: input should be"),
         (["demo", "--base-port", "65535"], "base_port: 65535 leaves no ports for 2 robots"),
         (["demo", "--base-port", "0"], "--base-port: base_port: input should be greater than or equal to 1"),

@@ -42,8 +42,8 @@ def starter(monkeypatch: pytest.MonkeyPatch) -> Iterator[io.TextIOBase]:
 # In a terminal
 
 
-def status(*, around: int = 0, refused: tuple[str, ...] = (), not_placed: tuple[str, ...] = ()) -> dict[str, object]:
-    return {"around": around, "refused": list(refused), "not_placed": list(not_placed), "done": True, "positions": {}}
+def status(*, around: int = 0, **apart: str) -> dict[str, object]:
+    return {"around": around, "apart": apart, "done": True, "positions": {}}
 
 
 def test_a_process_in_a_terminal_goes_at_once_and_tells_a_person_what_is_new(
@@ -54,17 +54,20 @@ def test_a_process_in_a_terminal_goes_at_once_and_tells_a_person_what_is_new(
     control.tell("ready", name="r1")
     control.tell("status", **status())
     control.tell("status", **status(around=1))
-    control.tell("status", **status(around=1, refused=("r2: cell size 0.05 m, ours is 0.02 m",)))
-    control.tell("status", **status(around=2, refused=("r2: cell size 0.05 m, ours is 0.02 m",), not_placed=("r3",)))
+    control.tell("status", **status(around=1, a1="r2: cell size 0.05 m, ours is 0.02 m"))
+    control.tell("status", **status(around=2, a1="r2: cell size 0.05 m, ours is 0.02 m", b2="r3: no start pose"))
+    control.tell("status", **status(around=2, b2="r3: replaced by c3"))
     control.tell("report", map_digest="00")
     out, err = capsys.readouterr()
     assert out == ""
     assert err.splitlines() == [
         "orion: r1 is ready; Ctrl-C ends it",
         "orion: 1 other peer",
-        "orion: refused r2: cell size 0.05 m, ours is 0.02 m",
-        "orion: r3 has no start pose: its map is kept apart",
+        "orion: session a1 of r2: cell size 0.05 m, ours is 0.02 m",
+        "orion: session b2 of r3: no start pose",
         "orion: 2 other peers",
+        "orion: session b2 of r3: replaced by c3",
+        "orion: session a1 of r2: all is well again",
     ]
 
 

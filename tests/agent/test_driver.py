@@ -103,6 +103,13 @@ def test_done_is_done():
     assert WaypointDriver([]).done
 
 
+def test_a_robot_that_learns_that_it_is_elsewhere_drives_to_the_same_waypoints_from_there():
+    driver = WaypointDriver([(1.0, 0.0)])
+    assert driver.drive(0.0, Pose(), NOTHING).turn_rate == 0.0
+    driver.placed(Pose(0.0, 0.0, math.pi / 2))
+    assert driver.drive(0.1, Pose(0.0, 0.0, math.pi / 2), NOTHING).turn_rate < 0.0
+
+
 def test_a_robot_without_a_driver_stands_and_is_never_done():
     assert NoDriver().drive(0.0, Pose(), NOTHING) == STILL
     assert not NoDriver().done

@@ -17,9 +17,8 @@ from agent.kernel import Compilation, Kernel, compiled
 from mapping.evidence import EvidenceModel
 from mapping.lattice import Lattice
 from mapping.raster import raster
-from mapping.rays import Rays, rays_of
 from mapping.scan import NO_RETURN, Scans
-from mapping.sensor import orion
+from mapping.sensor import Sensor, orion
 from mapping.tiles import Evidence, map_digest, merged
 
 MODEL = EvidenceModel()
@@ -29,12 +28,12 @@ needs_numba = pytest.mark.skipif(
 )
 
 
-def some_rays(seed: int) -> Rays:
+def some_scans(seed: int) -> tuple[Scans, Sensor, Lattice]:
     chance = np.random.default_rng(seed)
     poses = np.column_stack([chance.integers(-3000, 3000, (20, 2)), chance.integers(0, 65536, 20)]).astype(np.int32)
     ranges = chance.integers(1, 801, (20, 5)).astype(np.uint16)
     ranges[chance.random(ranges.shape) < 0.2] = NO_RETURN
-    return rays_of(Scans(np.arange(20, dtype=np.int64), poses, ranges), orion(), Lattice(20))
+    return Scans(np.arange(20, dtype=np.int64), poses, ranges), orion(), Lattice(20)
 
 
 def digest(*parts: Evidence) -> bytes:
@@ -45,11 +44,11 @@ def digest(*parts: Evidence) -> bytes:
 def slow_compiler(monkeypatch: pytest.MonkeyPatch):
     """A compiled kernel that is ready only when the event is set, and says so when it is used."""
     may_end = threading.Event()
-    used: list[Rays] = []
+    used: list[Scans] = []
 
-    def fast(rays: Rays, model: EvidenceModel) -> Evidence:
-        used.append(rays)
-        return raster(rays, model)
+    def fast(scans: Scans, sensor: Sensor, lattice: Lattice, model: EvidenceModel) -> Evidence:
+        used.append(scans)
+        return raster(scans, sensor, lattice, model)
 
     def compile_slowly():
         assert may_end.wait(10)
@@ -64,17 +63,17 @@ def test_numpy_and_the_compiled_kernel_give_the_same() -> None:
     fast = compiled()
     assert fast is not raster
     for seed in range(5):
-        assert digest(fast(some_rays(seed), MODEL)) == digest(raster(some_rays(seed), MODEL))
+        assert digest(fast(*some_scans(seed), MODEL)) == digest(raster(*some_scans(seed), MODEL))
 
 
 @needs_numba
 def test_changing_over_in_the_middle_changes_nothing() -> None:
     kernel = Kernel()
-    parts = [kernel(some_rays(seed), MODEL) for seed in range(3)]
+    parts = [kernel(*some_scans(seed), MODEL) for seed in range(3)]
     kernel.load()
     kernel.close()
-    parts += [kernel(some_rays(seed), MODEL) for seed in range(3, 6)]
-    assert digest(*parts) == digest(*(raster(some_rays(seed), MODEL) for seed in range(6)))
+    parts += [kernel(*some_scans(seed), MODEL) for seed in range(3, 6)]
+    assert digest(*parts) == digest(*(raster(*some_scans(seed), MODEL) for seed in range(6)))
 
 
 def test_nobody_waits_for_a_kernel_that_is_being_loaded(slow_compiler) -> None:
@@ -82,11 +81,11 @@ def test_nobody_waits_for_a_kernel_that_is_being_loaded(slow_compiler) -> None:
     kernel = Kernel()
     kernel.load()
     kernel.load()  # the second call means nothing
-    assert digest(kernel(some_rays(1), MODEL)) == digest(raster(some_rays(1), MODEL))
+    assert digest(kernel(*some_scans(1), MODEL)) == digest(raster(*some_scans(1), MODEL))
     assert used == []
     may_end.set()
     kernel.close()
-    kernel(some_rays(2), MODEL)
+    kernel(*some_scans(2), MODEL)
     assert len(used) == 1
 
 
@@ -110,7 +109,7 @@ def test_without_numba_the_numpy_kernel_stays(monkeypatch: pytest.MonkeyPatch) -
     kernel = Kernel()
     kernel.load()
     kernel.close()
-    assert digest(kernel(some_rays(1), MODEL)) == digest(raster(some_rays(1), MODEL))
+    assert digest(kernel(*some_scans(1), MODEL)) == digest(raster(*some_scans(1), MODEL))
 
 
 def test_without_numba_nothing_is_ever_compiled(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -21,8 +21,14 @@ def occupied() -> Iterator[int]:
         yield somebody.getsockname()[1]
 
 
-def swarm(base_port: int, *hosts: str) -> Config:
-    return resolve({"base_port": base_port, "robots": {f"r{k + 1}": {"host": host} for k, host in enumerate(hosts)}})
+def swarm(base_port: int, *hosts: str, transport: str = "zenoh") -> Config:
+    return resolve(
+        {
+            "transport": transport,
+            "base_port": base_port,
+            "robots": {f"r{k + 1}": {"host": host} for k, host in enumerate(hosts)},
+        }
+    )
 
 
 def a_free_port() -> int:
@@ -44,15 +50,17 @@ def test_an_occupied_port_names_the_robot_and_the_port(occupied: int) -> None:
         check_ports(config)
 
 
-def test_an_agent_on_an_occupied_port_says_the_same(occupied: int) -> None:
+@pytest.mark.parametrize("transport", ["zenoh", "zmq"])
+def test_an_agent_on_an_occupied_port_says_the_same(occupied: int, transport: str) -> None:
     """It once named all the swarm's endpoints and a place in Zenoh's sources."""
     said = rf"^robots\.r1: 127\.0\.0\.1:{occupied}: address already in use; give another base_port$"
     with pytest.raises(UserError, match=said):
-        open_bus(swarm(occupied, "127.0.0.1"), "r1", 0)
+        open_bus(swarm(occupied, "127.0.0.1", transport=transport), "r1", 0)
 
 
-def test_a_port_just_given_up_is_free_again() -> None:
-    config = swarm(a_free_port(), "127.0.0.1")
+@pytest.mark.parametrize("transport", ["zenoh", "zmq"])
+def test_a_port_just_given_up_is_free_again(transport: str) -> None:
+    config = swarm(a_free_port(), "127.0.0.1", transport=transport)
     with open_bus(config, "r1", 0), pytest.raises(UserError, match="address already in use"):
         check_ports(config)
     check_ports(config)
@@ -78,8 +86,9 @@ def test_a_name_that_nobody_knows_is_named_with_its_robot() -> None:
         check_ports(swarm(a_free_port(), "nobody.invalid"))
 
 
-def test_an_observer_listens_nowhere() -> None:
-    config = swarm(a_free_port(), "127.0.0.1")
+@pytest.mark.parametrize("transport", ["zenoh", "zmq"])
+def test_an_observer_listens_nowhere(transport: str) -> None:
+    config = swarm(a_free_port(), "127.0.0.1", transport=transport)
     with open_bus(config, "observer", None) as bus:
         assert bus.peer.startswith("observer.")
         check_ports(config)

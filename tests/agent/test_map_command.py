@@ -164,3 +164,12 @@ def test_help_shows_an_example(command):
 def test_a_terminal_gets_a_table(room, monkeypatch):
     monkeypatch.setenv("FORCE_COLOR", "1")
     assert "┃" in run("score", room / "room.npz", "--walls", room / "walls.csv")
+
+
+def test_a_difference_and_a_score_are_drawn(room):
+    run("diff", room / "room.npz", room / "half.npz", "--png", room / "diff.png", status=1)
+    run("score", room / "half.npz", room / "room.npz", "--walls", room / "walls.csv", "--png", room / "score.png")
+    assert all((room / name).read_bytes().startswith(b"\x89PNG") for name in ("diff.png", "score.png"))
+    with pytest.raises(UserError, match=r"let it end in \.png"):
+        run("diff", room / "room.npz", room / "half.npz", "--png", room / "map.npz")
+    assert load_map(room / "room.npz").evidence.any()

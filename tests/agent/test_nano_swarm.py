@@ -15,7 +15,6 @@ from agent.errors import UserError
 from agent.nano_swarm import FRAMES, drone, read
 from agent.playback import RecordedBody
 from agent.recording import Recording
-from mapping.pose import QuantisedPose
 
 Offsets = tuple[float, float, float]
 
@@ -254,7 +253,7 @@ def test_a_damaged_folder_is_read_or_refused(
     for recording in recordings:
         assert np.isfinite(recording.poses).all()
         assert not (recording.ranges <= 0).any()
-        assert len(RecordedBody(recording, QuantisedPose(0, 0, 0)).read(math.inf)) == len(recording)
+        assert len(RecordedBody(recording).read(math.inf)) == len(recording)
 
 
 def test_a_signalling_nan_is_refused_like_any_other(maze: Path) -> None:

@@ -10,13 +10,16 @@ import numpy as np
 import pytest
 
 import agent.node
+import agent.own_session
 from agent.body import BATCH
+from agent.journal import Journal, JournalFullError
 from agent.node import NoBody, Node, peer_name
+from agent.readings import Readings
+from agent.team_mates import NoMates
 from mapping.evidence import EvidenceModel
 from mapping.integrate import integrated
 from mapping.lattice import Lattice
 from mapping.pose import QuantisedPose
-from mapping.scan import Scans
 from mapping.sensor import orion
 from mapping.tiles import map_digest
 from swarm.messages import Hello
@@ -35,33 +38,39 @@ class Body:
     def __init__(self, count: int = 20) -> None:
         self.sensor = orion()
         turns = np.arange(count) * 65536 // count
-        poses = np.column_stack([np.zeros((count, 2), np.int64), turns]).astype(np.int32)
-        ranges = np.full((count, 5), 500, np.uint16)
-        self.scans = Scans(np.arange(count, dtype=np.int64) * 100, poses, ranges)
+        poses = np.column_stack([np.zeros((count, 2)), turns / 65536 * math.tau])
+        self.readings = Readings(np.arange(count, dtype=np.int64) * 100, poses, np.full((count, 5), 0.5))
         self.given = 0
         self.asked: list[float] = []
         self.patience, self.status = 0.02, ""
 
-    def read(self, until: float) -> Scans:
+    def place(self, start: QuantisedPose) -> None:
+        pass
+
+    def read(self, until: float) -> Readings:
         self.asked.append(until)
-        due = min(int(np.searchsorted(self.scans.stamps_ms / 1000, until)), self.given + BATCH)
+        due = min(int(np.searchsorted(self.readings.stamps_ms / 1000, until)), self.given + BATCH)
         rows = slice(self.given, max(self.given, due))
         self.given = rows.stop
-        return self.scans[rows]
+        return self.part(rows)
+
+    def part(self, rows: slice) -> Readings:
+        return Readings(self.readings.stamps_ms[rows], self.readings.poses[rows], self.readings.ranges[rows])
 
     @property
     def progress(self) -> tuple[int, int]:
-        return self.given, len(self.scans)
+        return self.given, len(self.readings)
 
     @property
     def done(self) -> bool:
-        return self.given == len(self.scans)
+        return self.given == len(self.readings)
 
     def close(self) -> None:
         pass
 
-    def digest(self, rules: Rules = RULES) -> str:
-        return map_digest(integrated({}, self.scans, self.sensor, rules.model, rules.lattice)).hex()
+    def digest(self, start: QuantisedPose = ORIGIN) -> str:
+        scans = self.readings.scans(start, self.sensor)
+        return map_digest(integrated({}, scans, self.sensor, RULES.model, RULES.lattice)).hex()
 
 
 class Conductor:
@@ -118,20 +127,19 @@ def time(monkeypatch: pytest.MonkeyPatch) -> FakeTime:
 
 
 def robot(bus: InProcessBus, body: Body, **options: Any) -> Node:
-    node = Node(bus, RULES, Hello(Hello.ROBOT, b"r1", b"test"), body=body, **options)
-    node.open_session("r1", ORIGIN, "auto")
+    node = Node(bus, RULES, Hello(Hello.ROBOT, b"r1", b"test"), now=agent.node.time.monotonic(), body=body, **options)
+    node.open_session("r1", ORIGIN, "auto", NoMates())
     return node
 
 
 def observer(bus: InProcessBus, rules: Rules = RULES, **options: Any) -> Node:
-    return Node(bus, rules, Hello(Hello.OBSERVER, b"o", b"test"), **options)
+    return Node(bus, rules, Hello(Hello.OBSERVER, b"o", b"test"), now=agent.node.time.monotonic(), **options)
 
 
 def steps(node: Node, time: FakeTime) -> Iterator[None]:
     """The other node's loop, a turn at a time (what ``run`` does until it is told to stop)."""
     while True:
-        node._hear()
-        node._say(time.monotonic())
+        node.turn(time.monotonic(), node._bus.receive())
         yield
 
 
@@ -171,11 +179,11 @@ def test_a_body_as_fast_as_it_can_is_read_to_infinity_and_still_listens(time) ->
     body = Body(5 * BATCH)
     node = robot(time.network.bus("r1"), body, speed=math.inf)
     heard = []
-    hear = node._hear
-    node._hear = lambda: (heard.append(body.given), hear())[1]  # type: ignore[method-assign]
+    receive = node._bus.receive
+    node._bus.receive = lambda timeout: (heard.append((timeout, body.given)), receive())[1]  # type: ignore[method-assign]
     node.run(Conductor(time, done))
     assert set(body.asked) == {math.inf}
-    assert heard[:5] == [BATCH, 2 * BATCH, 3 * BATCH, 4 * BATCH, 5 * BATCH]
+    assert heard[1:5] == [(0.0, turn * BATCH) for turn in range(1, 5)]
 
 
 def test_a_body_that_is_done_is_still_read_but_its_scans_no_longer_count(time) -> None:
@@ -184,7 +192,7 @@ def test_a_body_that_is_done_is_still_read_but_its_scans_no_longer_count(time) -
     node = robot(time.network.bus("r1"), body, speed=math.inf)
     node.run(Conductor(time, done))
     asked, digest = len(body.asked), node.summary()["map_digest"]
-    body.read = lambda until: (body.asked.append(until), body.scans[:1])[1]  # type: ignore[method-assign]
+    body.read = lambda until: (body.asked.append(until), body.part(slice(1)))[1]  # type: ignore[method-assign]
     node.run(Conductor(time, lambda control: len(body.asked) >= asked + 3))
     assert node.scans == 20
     assert node.summary()["map_digest"] == digest
@@ -205,6 +213,41 @@ def test_what_was_sensed_last_is_published_when_it_is_told_to_stop(time) -> None
     assert node.peer.writer is not None
     assert not node.peer.writer.waiting
     assert node.summary()["map_digest"] == body.digest()
+
+
+def test_a_robot_that_is_told_where_it_really_started_publishes_all_of_it_anew(time) -> None:
+    body, start = Body(), QuantisedPose(500, 250, 1000)
+    node = robot(time.network.bus("r1"), body)
+    operator = observer(time.network.bus("o"))
+    turns = steps(operator, time)
+    control = Conductor(time, lambda control: body.given > 10)
+    control.plays(turns)
+    node.run(control)
+    operator.peer.set_start_pose("r1", start, time.now)
+    control = Conductor(time, lambda control: done(control) and operator.summary()["map_digest"] == body.digest(start))
+    control.plays(turns)
+    node.run(control)
+    assert node.summary()["map_digest"] == body.digest(start)
+    assert len(node.peer.replicas) == 1
+
+
+def test_what_is_left_of_a_correction_is_published_before_the_end(time, monkeypatch) -> None:
+    monkeypatch.setattr(agent.own_session, "_MOST_ROWS", 3)
+    body, start = Body(), QuantisedPose(500, 250, 1000)
+    node = robot(time.network.bus("r1"), body, speed=math.inf)
+    node.run(Conductor(time, done))
+    node.peer.set_start_pose("r1", start, time.now)
+    node.run(Conductor(time, lambda control, end=time.now + 3 * STEP: time.now > end))
+    assert node.summary()["map_digest"] == body.digest(start)
+
+
+def test_a_full_journal_ends_it_rather_than_losing_scans_in_silence(time) -> None:
+    body = Body()
+    node = robot(time.network.bus("r1"), body)
+    assert node.own is not None
+    node.own.journal = Journal(body.sensor, max_bytes=10 * (8 + 24 + 40))
+    with pytest.raises(JournalFullError):
+        node.run(Conductor(time, done))
 
 
 # Publishes and follows
@@ -256,7 +299,7 @@ def test_statuses_tell_who_is_around_how_far_it_is_and_what_it_knows(time) -> No
     node.run(control)
     (session,) = node.peer.replicas
     first, last = control.told[0], control.told[-1]
-    assert first.keys() == last.keys() == {"around", "progress", "body", "done", "positions", "refused", "not_placed"}
+    assert first.keys() == last.keys() == {"around", "progress", "body", "state", "done", "positions", "apart", "spent"}
     assert (first["done"], last["done"]) == (False, True)
     assert last["around"] == 1
     assert tuple(last["progress"]) == (20, 20)
@@ -296,11 +339,36 @@ def test_a_robot_with_other_rules_is_refused_in_words(time) -> None:
     rules = Rules(Lattice(50), EvidenceModel())
     node = robot(time.network.bus("r1"), Body())
     watching = observer(time.network.bus("o"), rules)
-    control = Conductor(time, lambda control: bool(control.told) and bool(control.told[-1]["refused"]))
+    control = Conductor(time, lambda control: bool(control.told) and bool(control.told[-1]["apart"]))
     control.plays(steps(node, time))
     watching.run(control)
-    assert control.told[-1]["refused"] == ["r1: cell size 0.02 m, ours is 0.05 m"]
+    assert list(control.told[-1]["apart"].values()) == ["r1: cell size 0.02 m, ours is 0.05 m"]
     assert control.told[-1]["positions"] == {}
+
+
+# A turn at a time
+
+
+def test_turns_need_no_clock_no_thread_and_no_control(monkeypatch) -> None:
+    """A harness runs many nodes so, under a time of its own."""
+    monkeypatch.setattr(agent.node, "time", None)
+    monkeypatch.setattr("threading.Thread.start", lambda thread: pytest.fail(f"{thread} was started"))
+    network = Network(seed=1)
+    body = Body()
+    nodes = {}
+    for name, senses in (("r1", body), ("o", None)):
+        bus = network.bus(name)
+        nodes[bus] = Node(bus, RULES, Hello(Hello.ROBOT, name.encode(), b"test"), now=0.0, body=senses)
+    writer, follower = nodes.values()
+    own = writer.open_session("r1", ORIGIN, "auto", NoMates(), lambda: bytes(8))
+    assert own.descriptor.session == bytes(8)
+    for tick in range(400):
+        network.advance(tick * STEP)
+        for bus, node in nodes.items():
+            node.turn(network.now, bus.receive())
+    assert writer.status()["done"]
+    assert writer.status()["positions"] == follower.status()["positions"] != {}
+    assert writer.summary()["map_digest"] == follower.summary()["map_digest"] == body.digest()
 
 
 # Odds and ends

@@ -30,7 +30,7 @@ from agent.paper import (
 from agent.paper_example import STEPS, cell_of, frames_by_the_paper, frames_by_us
 from mapping.evidence import EvidenceModel, to_units
 from mapping.lattice import TILE
-from mapping.raster import raster
+from mapping.raster import raster_rays
 from mapping.rays import Rays
 
 cells = st.tuples(st.integers(-200, 200), st.integers(-200, 200))
@@ -44,7 +44,7 @@ def our_evidence(rays: list[tuple[tuple[int, int], tuple[int, int]]]) -> dict[tu
     starts, ends = (np.array([ray[k] for ray in rays], np.int64) for k in (0, 1))
     model = EvidenceModel(to_units(L_OCC), to_units(L_FREE))
     known = {}
-    for (ty, tx), tile in raster(Rays(starts, ends, np.ones(len(rays), np.uint8)), model):
+    for (ty, tx), tile in raster_rays(Rays(starts, ends, np.ones(len(rays), np.uint8)), model):
         for j, i in zip(*np.nonzero(tile), strict=True):
             known[tx * TILE + int(i), ty * TILE + int(j)] = int(tile[j, i])
     return known

@@ -18,11 +18,16 @@ from agent.explorer import Explorer
 from agent.kinematics import ORION_CHASSIS
 from agent.microcontroller import Microcontroller
 from agent.robot import Senses, _senses, run_robot
-from agent.team_mates import TeamMates
+from agent.team_mates import NoMates, TeamMates
 from mapping.pose import QuantisedPose
 from mapping.sensor import Beam, Sensor, orion
 
 START = QuantisedPose(1000, 2000, 16_384)
+
+
+def undriven():
+    """Nothing is driven here: nobody asks for the session's map."""
+    raise AssertionError
 
 
 def swarm(**body: Any) -> Config:
@@ -37,7 +42,7 @@ def wired(link, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Senses]:
         hello = Microcontroller(0, sensor or orion(1.2), ORION_CHASSIS, 100).hello
         monkeypatch.setattr(transport.mcu_link, "McuLink", lambda port, *, baudrate: link)
         monkeypatch.setattr(agent.serial_body, "greet", lambda link, timeout, *, where, stopped: hello)
-        return _senses(swarm(**body), "r1", START, dict, Control())
+        return _senses(swarm(**body), "r1", undriven, Control())
 
     return make
 
@@ -45,10 +50,10 @@ def wired(link, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Senses]:
 def test_a_robot_behind_a_port_has_the_sensor_that_it_says_within_the_trusted_range(wired) -> None:
     senses = wired(max_range=0.6)
     assert senses.body.sensor == orion(0.6)
+    senses.body.place(START)
     assert senses.body.pose == START.pose()
     assert senses.speed == 1.0
     assert isinstance(senses.mates, TeamMates)
-    assert senses.body._mask is senses.mates
 
 
 @pytest.mark.parametrize(
@@ -109,7 +114,7 @@ def test_a_robot_without_a_body_is_told_how_to_give_it_one() -> None:
 def test_a_recorded_robot_as_fast_as_it_can_has_no_team_mates_to_mask(tmp_path) -> None:
     (tmp_path / "run.log").write_text("FLASER 2 1.0 2.0 0 0 0 0 0 0 7.5 host 7.5\n")
     body = {"kind": "recording", "path": str(tmp_path / "run.log"), "speed": "max"}
-    senses = _senses(resolve({"robots": {"r1": {"body": body}}}), "r1", START, dict, Control())
+    senses = _senses(resolve({"robots": {"r1": {"body": body}}}), "r1", undriven, Control())
     assert senses.speed == math.inf
-    assert senses.mates.corrections({}) == {}
+    assert isinstance(senses.mates, NoMates)
     assert senses.body.progress == (0, 1)

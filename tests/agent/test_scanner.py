@@ -1,14 +1,13 @@
 """Readings into scans: by status, within the range that is trusted, of whatever sensors the robot says it has."""
 
-import math
-
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agent.scanner import in_metres, points_seen, scan, sensor_of
-from mapping.pose import Pose
+from agent.readings import Readings
+from agent.scanner import in_metres, points_seen, sensor_of
+from mapping.pose import QuantisedPose
 from mapping.scan import INVALID, NO_RETURN
 from mapping.sensor import Beam, Sensor, orion
 from transport import mcu_frames
@@ -39,7 +38,8 @@ def test_a_robot_without_beams_is_none():
 
 @given(st.lists(readings, min_size=5, max_size=5))
 def test_each_reading_is_published_by_its_status(ranges):
-    published = scan(0, Pose(), in_metres(ranges), orion()).ranges[0].tolist()
+    readings = Readings(np.zeros(1, np.int64), np.zeros((1, 3)), in_metres(ranges)[None, :])
+    published = readings.scans(QuantisedPose(0, 0, 0), orion()).ranges[0].tolist()
     for (range_mm, status), reading in zip(ranges, published, strict=True):
         if status == RANGE_INVALID or (status == RANGE_VALID and range_mm == 0):
             assert reading == INVALID
@@ -49,21 +49,7 @@ def test_each_reading_is_published_by_its_status(ranges):
             assert reading == range_mm
 
 
-@given(st.integers(0, 2**42), st.builds(Pose, st.floats(-9, 9), st.floats(-9, 9), st.floats(-9, 9)))
-def test_stamp_and_pose_are_those_of_the_sample(stamp_ms, pose):
-    published = scan(stamp_ms, pose, np.full(5, np.nan), orion())
-    assert published.stamps_ms.tolist() == [stamp_ms]
-    x, y, yaw = published.poses[0].tolist()
-    assert (x, y) == (round(pose.x * 1000), round(pose.y * 1000))
-    assert math.remainder(yaw / 65536 * math.tau - pose.yaw, math.tau) == pytest.approx(0, abs=1e-4)
-
-
 def test_points_are_where_the_readings_fall_and_nothing_else():
     points = points_seen(np.array([0.2, np.nan, 0.5, np.inf, 0.9]), orion())
     np.testing.assert_allclose(points, [[0.03, -0.2], [0.53, 0.0]], atol=1e-9)
     assert points_seen(np.full(5, np.inf), orion()).shape == (0, 2)
-
-
-def test_the_wrong_number_of_readings_is_refused():
-    with pytest.raises(ValueError, match="expected"):
-        scan(0, Pose(), np.zeros(4), orion())

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from agent.errors import UserError
 from agent.kinematics import ORION_CHASSIS
-from agent.world import NEAR, World, load_world, world_names
+from agent.packaged_worlds import world_names
+from agent.world import NEAR, World, load_world
 from mapping.pose import FULL_TURN
 from mapping.sensor import orion
 
@@ -441,3 +442,16 @@ def test_the_offices_doors_are_wide_enough_for_a_robot_that_is_a_little_lost() -
     for x, y in doors:
         assert one_ray(place, x, y, 0.0) + one_ray(place, x, y, math.pi) >= 0.6
     assert one_ray(place, 5.25, 0.85, math.pi / 2) + one_ray(place, 5.25, 0.85, -math.pi / 2) >= 0.6
+
+
+@pytest.mark.parametrize(
+    ("waypoints", "at"), [("[[3, 1]]", 0), ("[[1, 1.5], [1.5, 1], [1, 2.5]]", 2), ("[[1, 1], [2, 1]]", None)]
+)
+def test_a_wall_between_waypoints_is_told_when_the_world_is_loaded(tmp_path, waypoints: str, at: int | None) -> None:
+    """A robot drives straight: it would stand before the wall and give its waypoints up one after the other."""
+    path = write(tmp_path, SQUARE.replace("[[1.0, 1.5], [1, 1]]", waypoints))
+    if at is None:  # on the wall, not behind it
+        load_world(path)
+        return
+    with pytest.raises(UserError, match=rf"starts\[0\].waypoints\[{at}\]: a wall stands"):
+        load_world(path)

@@ -1,6 +1,7 @@
 """The law a second time: scans into cells in plain Python integers, by the word of the design and nothing else.
 
-Nothing of ``mapping`` is used here but the kernels that are to be tested against it. It is slow and means to be read.
+The law uses nothing of ``mapping``; the fixtures below give the kernels that are to be tested against it. It is slow
+and means to be read.
 """
 
 from __future__ import annotations
@@ -12,10 +13,14 @@ from collections.abc import Callable, Iterable, Iterator
 from fractions import Fraction
 from functools import cache
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 
 from mapping import raster
+from mapping.evidence import EvidenceModel
+from mapping.rays import Rays
+from mapping.tiles import Evidence
 
 NUMBA_IS_MISSING = "numba is missing: install the extra 'fast' to test the compiled kernel"
 
@@ -115,24 +120,45 @@ def law() -> type[Law]:
     return Law
 
 
-def _compiled() -> Callable:
+def _compiled() -> ModuleType:
     if importlib.util.find_spec("numba") is None:
         pytest.skip(NUMBA_IS_MISSING)
     from mapping import raster_jit
 
-    return raster_jit.raster
+    return raster_jit
 
 
 @pytest.fixture(scope="session")
 def compiled() -> Callable:
     """The compiled kernel; without numba the test is skipped, and the summary says so."""
-    return _compiled()
+    return _compiled().raster
+
+
+@pytest.fixture(scope="session")
+def drawn_compiled() -> Callable:
+    """The compiled kernel's evidence of rays."""
+    return _compiled().raster_rays
 
 
 @pytest.fixture(scope="session", params=["numpy", "compiled"])
 def kernel(request: pytest.FixtureRequest) -> Callable:
-    """Each kernel in turn."""
-    return raster.raster if request.param == "numpy" else _compiled()
+    """Each kernel in turn: the evidence of scans."""
+    return (raster if request.param == "numpy" else _compiled()).raster
+
+
+def _strokes_alone(rays: Rays, model: EvidenceModel) -> Evidence:
+    """What NumPy makes of many rays, whatever their number."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(raster, "_FEW_RAYS", 0)
+        return raster.raster_rays(rays, model)
+
+
+@pytest.fixture(scope="session", params=["numpy", "numpy, strokes alone", "compiled"])
+def drawn(request: pytest.FixtureRequest) -> Callable:
+    """Each kernel in turn: the evidence of rays."""
+    if request.param == "numpy, strokes alone":
+        return _strokes_alone
+    return (raster if request.param == "numpy" else _compiled()).raster_rays
 
 
 @pytest.fixture(scope="session")
@@ -146,10 +172,10 @@ def recorded(recordings_dir: Path) -> Callable:
     def scans_of(name: str, max_range: float | None = None) -> list:
         runs = []
         for recording in read(recordings_dir / name, max_range=max_range):
-            body = RecordedBody(recording, QuantisedPose(0, 0, 0))
+            body = RecordedBody(recording)
             batches = []
             while not body.done:
-                batches.append(body.read(math.inf))
+                batches.append(body.read(math.inf).scans(QuantisedPose(0, 0, 0), body.sensor))
             runs.append((Scans.join(batches), body.sensor))
         return runs
 

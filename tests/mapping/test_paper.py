@@ -52,12 +52,12 @@ def readings(robot, cells):
 
 
 @pytest.fixture
-def figure_3(kernel):
+def figure_3(drawn):
     """p(m_i) for i = 1 ... 36 at t = 0, 1, 2, 3, each as a dictionary."""
     tiles, frames = {}, []
     for step in (None, *STEPS):
         if step:
-            tiles.update(added(tiles, kernel(readings(*step), MODEL)))
+            tiles.update(added(tiles, drawn(readings(*step), MODEL)))
         tile = tiles.get((0, 0), np.zeros((32, 32), np.int32))
         frames.append({cell: float(probability(tile[m(cell)[1], m(cell)[0]])) for cell in range(1, 37)})
     return frames
@@ -74,10 +74,10 @@ def test_the_moving_obstacle_of_figure_3_fades(figure_3):
     assert seen == pytest.approx(1 - 1 / (1 + math.exp(0.85)))
 
 
-def test_the_moving_obstacle_of_figure_3_goes_to_zero_if_it_stays_away(kernel):
+def test_the_moving_obstacle_of_figure_3_goes_to_zero_if_it_stays_away(drawn):
     tiles = {}
     for step in (*STEPS, *[STEPS[2]] * 10):
-        tiles.update(added(tiles, kernel(readings(*step), MODEL)))
+        tiles.update(added(tiles, drawn(readings(*step), MODEL)))
     i, j = m(10)
     assert probability(tiles[0, 0][j, i]) < 0.02
 
@@ -103,9 +103,9 @@ def test_cells_that_no_ray_of_figure_3_meets_stay_at_one_half(figure_3, law):
         assert all(frame[cell] != 0.5 for cell in range(1, 37) if m(cell) in met)
 
 
-def test_the_first_ray_of_figure_3_has_the_papers_cells_but_one(kernel, law):
+def test_the_first_ray_of_figure_3_has_the_papers_cells_but_one(drawn, law):
     """The paper lists m_29, m_23, m_17 and m_16 between m_36 and m_10: m_17 and m_16 are of one row."""
-    known = law.known(kernel(readings(36, [10]), MODEL))
+    known = law.known(drawn(readings(36, [10]), MODEL))
     assert {cell for cell, units in known.items() if units < 0} == {m(cell) for cell in (36, 29, 23, 16)}
     assert {cell for cell, units in known.items() if units > 0} == {m(10)}
 
@@ -138,8 +138,8 @@ cells = st.tuples(st.integers(-2000, 2000), st.integers(-2000, 2000))
 
 @given(cells, cells)
 @few
-def test_algorithm_2_on_the_cells_of_a_ray_is_our_evidence(kernel, law, robot, reading):
-    ours = law.known(kernel(Rays(np.array([robot]), np.array([reading]), np.array([True])), MODEL))
+def test_algorithm_2_on_the_cells_of_a_ray_is_our_evidence(drawn, law, robot, reading):
+    ours = law.known(drawn(Rays(np.array([robot]), np.array([reading]), np.array([True])), MODEL))
     assert ours == {cell: inverse_sensor(cell, robot, reading) for cell in law.ray(robot, reading)}
 
 

@@ -15,6 +15,13 @@ def test_table_1_becomes_bearings_from_forward():
     assert orion().max_range_mm == 800
 
 
+def test_an_orion_s_field_of_view_is_an_option():
+    thin, wide = orion(), orion(view=math.radians(25))
+    assert {beam.half_width_turn16 for beam in thin.beams} == {0}
+    assert [beam._replace(half_width_turn16=0) for beam in wide.beams] == list(thin.beams)
+    assert {beam.half_width_turn16 for beam in wide.beams} == {2276}
+
+
 def test_a_laser_looks_from_the_centre_step_by_step():
     scanner = laser(3, first=-math.pi / 2, step=math.pi / 2, max_range=20)
     assert scanner == Sensor((Beam(0, 0, 49152), Beam(0, 0, 0), Beam(0, 0, 16384)), 20_000)

@@ -14,7 +14,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -31,9 +31,14 @@ from mapping.grid import Grid
 from mapping.integrate import integrated
 from mapping.lattice import Cells, Lattice, TileKey
 from mapping.pose import Pose, QuantisedPose
+from mapping.tiles import Tiles, map_digest
 
 PATIENCE = 30.0 * float(os.environ.get("ORION_TIME_UNIT", "1"))
 """Seconds to wait for what should take a few: machines are shared."""
+
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    # Whoever started the tests in the background made them ignore Ctrl-C, and with them all processes that they start.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 # --- commands
@@ -48,11 +53,11 @@ class Command:
         status: the last status of a ``--supervised`` one.
     """
 
-    def __init__(self, words: list[str], errors: Path) -> None:
+    def __init__(self, words: list[str], errors: Path, inside: Sequence[str] = ()) -> None:
         environment = {key: value for key, value in os.environ.items() if not key.startswith("ORION_")}
         with errors.open("wb") as file:
             self._process = subprocess.Popen(
-                [sys.executable, "-P", "-m", "agent", *words],
+                [*inside, sys.executable, "-P", "-m", "agent", *words],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=file,
@@ -98,12 +103,17 @@ class Command:
         """Wait until a ``--supervised`` command has joined its swarm."""
         self.says(lambda event: event["event"] == "ready")
 
-    def knows(self, condition: Callable[[dict[str, int]], bool]) -> dict[str, int]:
+    def knows(self, condition: Callable[[dict[str, int]], bool], within: float = PATIENCE) -> dict[str, int]:
         """Wait until a ``--supervised`` command's positions (update by session) fulfil the condition."""
         if not condition(self.status.get("positions", {})):
-            self.says(lambda event: event["event"] == "status" and condition(event["positions"]))
+            self.says(lambda event: event["event"] == "status" and condition(event["positions"]), within)
         positions: dict[str, int] = self.status["positions"]
         return positions
+
+    def shows(self, key: str, value: object, within: float = PATIENCE) -> None:
+        """Wait until a ``--supervised`` command's status has that value."""
+        if self.status.get(key) != value:
+            self.says(lambda event: event["event"] == "status" and event[key] == value, within)
 
     def hears_no_more(self, quiet: float = 1.5) -> dict[str, int]:
         """Wait until a ``--supervised`` command has had no news for that many seconds; gives its positions."""
@@ -113,6 +123,13 @@ class Command:
                 assert time.monotonic() < deadline
         positions: dict[str, int] = self.status["positions"]
         return positions
+
+    def idle(self, seconds: float) -> None:
+        """Look on for so long."""
+        deadline = time.monotonic() + seconds
+        with contextlib.suppress(queue.Empty):
+            while (left := deadline - time.monotonic()) > 0 and self._take(left) is not None:
+                pass
 
     def order(self, word: str) -> None:
         """Tell a ``--supervised`` command something."""
@@ -172,11 +189,11 @@ Orion = Callable[..., Command]
 
 @pytest.fixture
 def orion(tmp_path: Path) -> Iterator[Orion]:
-    """Starts commands: ``orion("demo", "--json")``. They are gone when the test is over."""
+    """Starts commands: ``orion("demo", "--json")``, also ``inside`` another. They are gone when the test is over."""
     commands: list[Command] = []
 
-    def start(*words: object) -> Command:
-        command = Command([str(word) for word in words], tmp_path / f"stderr-{len(commands)}")
+    def start(*words: object, inside: Sequence[str] = ()) -> Command:
+        command = Command([str(word) for word in words], tmp_path / f"stderr-{len(commands)}", inside)
         commands.append(command)
         return command
 
@@ -320,8 +337,9 @@ class Truth:
         """One grid made of all that was recorded."""
         tiles: dict[TileKey, Cells] = {}
         for recording, start in zip(recordings, starts or [Pose()] * len(recordings), strict=True):
-            body = RecordedBody(recording, QuantisedPose.of(start))
-            while len(scans := body.read(math.inf)):
+            body = RecordedBody(recording)
+            while len(readings := body.read(math.inf)):
+                scans = readings.scans(QuantisedPose.of(start), body.sensor)
                 tiles |= integrated(tiles, scans, body.sensor, EvidenceModel(), Lattice.of(cell))
         return Grid.of(tiles, Lattice.of(cell))
 
@@ -329,17 +347,28 @@ class Truth:
         """The digest of that grid."""
         return self.map_of(recordings, cell, starts).digest().hex()
 
-    def after_each_scan(self, recording: Recording, cell: float) -> list[str]:
-        """The digests of one robot's grid after its first 0, 1, 2 ... scans."""
-        body = RecordedBody(recording, QuantisedPose(0, 0, 0))
+    def after_each_scan(
+        self,
+        recording: Recording,
+        cell: float,
+        start: Pose = Pose(),  # noqa: B008 - a constant
+    ) -> list[Tiles]:
+        """One robot's tiles after its first 0, 1, 2 ... scans."""
+        body = RecordedBody(recording)
         lattice = Lattice.of(cell)
-        tiles: dict[TileKey, Cells] = {}
-        digests = [Grid.of(tiles, lattice).digest().hex()]
-        while len(scans := body.read(math.inf)):
+        tiles: Tiles = {}
+        after = [tiles]
+        while len(readings := body.read(math.inf)):
+            scans = readings.scans(QuantisedPose.of(start), body.sensor)
             for k in range(len(scans)):
-                tiles |= integrated(tiles, scans[k : k + 1], body.sensor, EvidenceModel(), lattice)
-                digests.append(Grid.of(tiles, lattice).digest().hex())
-        return digests
+                changed = integrated(tiles, scans[k : k + 1], body.sensor, EvidenceModel(), lattice)
+                tiles = {**tiles, **changed}
+                after.append(tiles)
+        return after
+
+    def digests_after_each_scan(self, recording: Recording, cell: float) -> list[str]:
+        """The digests of those maps."""
+        return [map_digest(tiles).hex() for tiles in self.after_each_scan(recording, cell)]
 
     def in_file(self, path: object) -> str:
         """The digest of the map in a file, verified."""

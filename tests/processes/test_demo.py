@@ -53,9 +53,11 @@ def test_the_resolved_configuration_beside_the_map_makes_the_same_map_again(orio
     assert (second / "orion.toml").read_bytes() == (first / "orion.toml").read_bytes()
 
 
-def test_the_map_is_where_json_says_however_the_folder_was_named(orion, swarm, monkeypatch) -> None:
+@pytest.mark.parametrize("transport", ["zenoh", "zmq"])
+def test_the_map_is_where_json_says_however_the_folder_was_named(orion, swarm, monkeypatch, transport: str) -> None:
     monkeypatch.chdir(swarm.folder)
-    words = ["--robots", 1, "--speed", "max", "--base-port", swarm.base_port, "--out", "here", "--json"]
+    options = ["--robots", 1, "--speed", "max", "--transport", transport]
+    words = [*options, "--base-port", swarm.base_port, "--out", "here", "--json"]
     result = orion("demo", *words).report()
     paths = [path for path in result["files"].values() if isinstance(path, str)]
     assert {Path(path) for path in paths} == {

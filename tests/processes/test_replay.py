@@ -54,6 +54,16 @@ def test_three_robots_make_the_map_that_one_makes(replay, swarm, truth) -> None:
     assert sum(robot["scans"] for robot in three["robots"]) == one["robots"][0]["scans"] == 60
 
 
+def test_the_same_recording_gives_the_same_digest_over_zenoh_and_over_zmq(replay, swarm, truth) -> None:
+    log = swarm.log()
+    digests = []
+    for transport in ("zenoh", "zmq"):
+        result, out = replay(transport, log, "--robots", 3, "--cell", 0.05, "--transport", transport)
+        assert f'transport = "{transport}"' in (out / "orion.toml").read_text().splitlines()
+        digests.append(result["observer"]["map_digest"])
+    assert digests == [truth.digest_of(read(log), 0.05)] * 2
+
+
 def test_map_info_tells_the_digest_that_everybody_reported(replay, orion, swarm) -> None:
     result, _ = replay("map", swarm.log())
     info = orion("map", "info", result["files"]["npz"], "--json").report()

@@ -14,20 +14,30 @@ pytestmark = pytest.mark.processes
 CELL = 0.05
 
 
+BUSES = pytest.mark.parametrize("transport", ["zenoh", "zmq"])
+
+
 @pytest.fixture
-def roster(swarm):
+def transport() -> str:
+    """The bus of the tests that do not ask for each."""
+    return "zenoh"
+
+
+@pytest.fixture
+def roster(swarm, transport):
     """The TOML of r1, which has half a minute to go and is to die on the way, and two robots that need four seconds."""
     robots = {}
     for name, scans, seconds in (("r1", 300, 30.0), ("r2", 55, 4.0), ("r3", 60, 4.0)):
         log = swarm.log(f"{name}.log", scans=scans, seconds=seconds)
         robots[name] = {"start": {}, "body": {"kind": "recording", "path": str(log), "speed": 1.0}}
-    return swarm.toml(robots, cell=CELL)
+    return swarm.toml(robots, cell=CELL, transport=transport)
 
 
 def the_robots_of(roster: Path) -> list[Path]:
     return [roster.parent / f"r{k}.log" for k in (1, 2, 3)]
 
 
+@BUSES
 def test_a_robot_that_is_killed_leaves_all_that_it_had_published(orion, swarm, roster, truth) -> None:
     out, late_out = swarm.folder / "out", swarm.folder / "late"
     observer = orion("observe", "-c", roster, "--out", out, "--supervised")
@@ -64,7 +74,7 @@ def test_a_robot_that_is_killed_leaves_all_that_it_had_published(orion, swarm, r
 
     # what the dead robot wrote is there, whole: its first scans, and not one of them twice
     assert finally_known[session] >= written > 0
-    first_scans = truth.after_each_scan(recordings[0], CELL)
+    first_scans = truth.digests_after_each_scan(recordings[0], CELL)
     kept = first_scans.index(truth.in_file(out / "map-r1.npz"))
     assert 0 < kept < len(recordings[0])
     assert truth.in_file(late_out / "map-r1.npz") == first_scans[kept]
@@ -87,11 +97,12 @@ def test_a_robot_that_is_killed_in_a_replay_is_listed_lost(orion, swarm, roster,
     assert [robot["scans"] for robot in survivors] == [55, 60]
     assert {robot["map_digest"] for robot in survivors} == {result["observer"]["map_digest"]}
     assert "LOST" in replay.errors
-    first_scans = truth.after_each_scan(read(swarm.folder / "r1.log")[0], CELL)
+    first_scans = truth.digests_after_each_scan(read(swarm.folder / "r1.log")[0], CELL)
     assert 0 < first_scans.index(truth.in_file(out / "map-r1.npz")) < 300
     assert not processes.children(replay.pid)
 
 
+@BUSES
 def test_a_robot_that_restarts_opens_a_new_session_beside_its_old_one(orion, swarm, roster, truth) -> None:
     """Killed in the middle and started again, it maps the same rooms again: both sessions count."""
     out = swarm.folder / "out"
@@ -108,5 +119,5 @@ def test_a_robot_that_restarts_opens_a_new_session_beside_its_old_one(orion, swa
     positions = observer.hears_no_more(quiet=0.5)
     files = observer.finish()["files"]["robots"]
     assert len(positions) == len(files) == 2
-    first_scans = truth.after_each_scan(read(swarm.folder / "r1.log")[0], CELL)
+    first_scans = truth.digests_after_each_scan(read(swarm.folder / "r1.log")[0], CELL)
     assert all(truth.in_file(path) in first_scans[1:-1] for path in files.values())

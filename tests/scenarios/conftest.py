@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
@@ -17,8 +17,8 @@ from mapping.sensor import Sensor, orion
 from mapping.tiles import map_digest, summed
 from swarm.messages import Hello, Message, Part, decode
 from swarm.peer import Peer
+from swarm.radio import LAN, Profile
 from swarm.session import Descriptor, Rules
-from swarm.timers import LAN, Timers
 from swarm.writer import Publish
 from transport.bus import Bus, Joined, Left
 from transport.bus import Message as Heard
@@ -48,10 +48,11 @@ class Swarm:
         tick: how long peers are busy before they listen again; makes large swarms much faster to run.
         journals: each session's descriptor and the scans that decide its map.
         said: everything that was given to the buses: who, to whom (None: all), payload.
+        evicted: the sessions that are out of the true map.
     """
 
     network: Network
-    timers: Timers = LAN
+    profile: Profile = LAN
     rules: Rules = RULES
     mtu: int = 32768
     tick: float = 0.0
@@ -59,6 +60,7 @@ class Swarm:
     buses: dict[str, Bus] = field(default_factory=dict)
     journals: dict[str, tuple[Descriptor, list[Scans]]] = field(default_factory=dict)
     said: list[tuple[str, str | None, bytes]] = field(default_factory=list)
+    evicted: set[bytes] = field(default_factory=set)
 
     def observer(self, name: str, rules: Rules | None = None) -> Peer:
         """A peer that only follows."""
@@ -86,7 +88,7 @@ class Swarm:
     def _join(self, name: str, hello: Hello, rules: Rules) -> Peer:
         self.buses[name] = self.network.bus(name)
         self.peers[name] = Peer(
-            hello, rules, seed=name.encode(), mtu=self.mtu, now=self.network.now, timers=self.timers
+            hello, rules, seed=name.encode(), mtu=self.mtu, now=self.network.now, profile=self.profile
         )
         return self.peers[name]
 
@@ -105,6 +107,26 @@ class Swarm:
         gone = {key: np.zeros_like(cells) for key, cells in peer.writer.replica.state.cells.items()}
         peer.correct(gone | after, self.network.now)
         journal[:] = [scans]
+
+    def replace(self, name: str, session: bytes, x_mm: int, y_mm: int) -> None:
+        """A robot learns that it started elsewhere: it opens its session anew with all of its scans moved."""
+        peer, (old, journal) = self.peers[name], self.journals[name]
+        place = QuantisedPose(x_mm, y_mm, 0)
+        descriptor = replace(old, session=session, start=place, replaces=old.session)
+        shift = np.array([x_mm - (old.start.x_mm if old.start else 0), y_mm - (old.start.y_mm if old.start else 0), 0])
+        moved = [Scans(each.stamps_ms, each.poses + shift.astype(np.int32), each.ranges) for each in journal]
+        peer.open_session(descriptor).sense(Scans.join(moved))
+        self.journals[name] = descriptor, moved
+
+    def evict(self, name: str, session: bytes) -> None:
+        """Somebody decides that a session is wrong."""
+        self.peers[name].evict(session, self.network.now)
+        self.evicted.add(session)
+
+    def readmit(self, name: str, session: bytes) -> None:
+        """Somebody decides that it was not."""
+        self.peers[name].readmit(session, self.network.now)
+        self.evicted.discard(session)
 
     def drive(self, seconds: float, *, every: float = 0.1, scans: int = 1, seed: int = 0, stride: int = 60) -> None:
         """All robots drive about, sense and publish."""
@@ -177,14 +199,20 @@ class Swarm:
         positions = [
             {session: replica.state.n for session, replica in peer.replicas.items()} for peer in self.peers.values()
         ]
+        controls = {peer.controls.check for peer in self.peers.values()}
         waiting = any(peer.writer is not None and peer.writer.waiting for peer in self.peers.values())
-        return not waiting and all(each == positions[0] for each in positions) and len(self.digests()) == 1
+        return (
+            not waiting
+            and len(controls) == 1
+            and all(each == positions[0] for each in positions)
+            and len(self.digests()) == 1
+        )
 
     def truth(self) -> bytes:
         """The digest of the sum of all robots' scans, made without any network, in one go."""
         maps: list[dict[TileKey, Cells]] = []
         for descriptor, batches in self.journals.values():
-            if descriptor.start is not None and batches:
+            if descriptor.start is not None and batches and descriptor.session not in self.evicted:
                 scans, rules = Scans.join(batches), descriptor.rules
                 maps.append(integrated({}, scans, descriptor.sensor, rules.model, rules.lattice))
         return map_digest(summed(maps))

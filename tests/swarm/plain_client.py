@@ -20,6 +20,7 @@ Map = dict[tuple[int, int], Tile]
 Scan = tuple[int, int, int, int, list[int]]  # stamp_ms, x_mm, y_mm, yaw, ranges_mm
 
 SCANS, CELLS, TILES = 1, 2, 3
+EVICT = 1
 
 # --- section 4
 
@@ -52,14 +53,15 @@ class Descriptor:
     max_range_mm: int
     beams: list[tuple[int, int, int, int]]
     start: tuple[int, int, int] | None
+    replaces: bytes | None = None
 
 
 def decode_descriptor(data: bytes) -> Descriptor:
-    robot, session, cell, occupied, free, limit, rule, far, beams, start = msgpack.unpackb(data, raw=True)
+    robot, session, cell, occupied, free, limit, rule, far, beams, start, replaces = msgpack.unpackb(data, raw=True)
     assert rule == 0
     table = list(struct.iter_unpack("<hhHH", beams))
     pose = struct.unpack("<iiH", start) if start else None
-    return Descriptor(robot.decode(), session, cell, occupied, free, limit, far, table, pose)
+    return Descriptor(robot.decode(), session, cell, occupied, free, limit, far, table, pose, replaces or None)
 
 
 # --- section 11
@@ -171,11 +173,12 @@ def rays(scan: Scan, of: Descriptor) -> Iterator[tuple[list[tuple[int, int]], bo
         reach = of.max_range_mm if reading == 65535 else reading
         x0 = 16384 * x + bx * cosine(yaw) - by * sine(yaw)
         y0 = 16384 * y + bx * sine(yaw) + by * cosine(yaw)
-        for offset in fan(half_width, of):
+        offsets = fan(half_width, of)
+        for k, offset in enumerate(offsets, start=-(len(offsets) // 2)):
             x1 = x0 + reach * cosine(yaw + bearing + offset)
             y1 = y0 + reach * sine(yaw + bearing + offset)
             cells = ray((x0 // unit, y0 // unit), (x1 // unit, y1 // unit))
-            if reading != 65535 and offset != 0:
+            if reading != 65535 and 2 * abs(k) > len(offsets) // 2:
                 yield cells[:-1], False  # something may be there
             else:
                 yield cells, reading != 65535
@@ -207,6 +210,11 @@ def packed(key: tuple[int, int], tile: Tile) -> bytes:
 
 def tile_hash(key: tuple[int, int], tile: Tile) -> int:
     return int.from_bytes(hashlib.blake2b(packed(key, tile), digest_size=8).digest(), "little")
+
+
+def control_hash(*fields: int | bytes) -> int:
+    message = msgpack.packb([1, 10, *fields])
+    return int.from_bytes(hashlib.blake2b(message, digest_size=8).digest(), "little")
 
 
 def map_digest(tiles: Map) -> str:
@@ -269,10 +277,12 @@ class State:
 
 
 class Client:
-    """Takes messages in order; knows the sessions and their sum."""
+    """Takes messages in order; knows the sessions, the control records and the sum."""
 
     def __init__(self) -> None:
         self.states: dict[bytes, State] = {}
+        self.controls: dict[tuple[int, bytes], tuple[int, bytes, bytes]] = {}
+        self.controls_check = 0
 
     def take(self, message: bytes) -> None:
         version, kind, *fields = msgpack.unpackb(message, raw=True)
@@ -283,11 +293,24 @@ class Client:
         elif kind == 2:
             session, n, form, payload, _, check = fields
             self.states[session].update(n, form, payload, check)
+        elif kind == 10:
+            setting, subject, *rank = fields
+            known = self.controls.get((setting, subject))
+            if known is None or tuple(rank) > known:
+                self.controls[setting, subject] = tuple(rank)
+                self.controls_check += control_hash(setting, subject, *rank)
+                self.controls_check -= control_hash(setting, subject, *known) if known else 0
+                self.controls_check %= 2**64
+
+    def summed(self, session: bytes) -> bool:
+        _, _, evicted = self.controls.get((EVICT, session), (0, b"", b"\0"))
+        replaced = any(state.descriptor.replaces == session for state in self.states.values())
+        return self.states[session].descriptor.start is not None and not replaced and evicted == b"\0"
 
     def map(self) -> Map:
         total: Map = {}
-        for state in self.states.values():
-            if state.descriptor.start is not None:
+        for session, state in self.states.items():
+            if self.summed(session):
                 for key, tile in state.tiles.items():
                     total[key] = [a + b for a, b in zip(total.get(key, [0] * 1024), tile, strict=True)]
         return total

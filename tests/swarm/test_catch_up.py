@@ -44,6 +44,7 @@ class Pursuit:
         self.catch_up = CatchUp(SESSION, TIMERS, Jitter(seed), mtu)
         self.replica = Replica(DESCRIPTOR, raster)
         self.now = 0.0
+        self.asked = "a"
 
     def hear(self, peer, n):
         self.catch_up.heard(peer, n, self.replica.state.n, self.now)
@@ -55,6 +56,7 @@ class Pursuit:
             self.now = max(self.now, self.catch_up.wake_at)
             request = self.catch_up.poll(self.replica, self.now)
             if request is not None:
+                self.asked = request[0]
                 return request
         raise AssertionError
 
@@ -64,18 +66,19 @@ class Pursuit:
                 pass
             self.catch_up.advanced(self.replica.state.n, self.now)
 
-    def offer(self, message):
-        state = self.catch_up.offer(message, self.replica.state, self.now)
+    def offer(self, message, peer=None):
+        """Hear a message, from whom was asked last unless somebody else is named."""
+        state = self.catch_up.offer(peer or self.asked, message, self.replica.state, self.now)
         if state is not None:
             self.replica.install(state)
             self.catch_up.advanced(self.replica.state.n, self.now)
         return state
 
 
-def drop(pursuit, message):
+def drop(pursuit, message, peer=None):
     before = pursuit.replica.state.root()
     with pytest.raises(Drop) as caught:
-        pursuit.offer(message)
+        pursuit.offer(message, peer)
     assert pursuit.replica.state.root() == before
     return caught.value.reason
 
@@ -278,6 +281,29 @@ def test_what_was_not_asked_for_is_dropped():
     pursuit = Pursuit()
     assert drop(pursuit, provider.manifest(0)) == "not_asked"
     assert drop(pursuit, tiles_message((TileKey(0, 1), tile(1)))) == "not_asked"
+
+
+def test_a_manifest_counts_only_from_a_peer_that_was_asked_however_late_it_comes():
+    pursuit, (provider, _) = Pursuit(), written(45)
+    pursuit.hear("a", 45)
+    pursuit.hear("b", 45)
+    first, _ = pursuit.ask()
+    second, _ = pursuit.ask()
+    assert {first, second} == {"a", "b"}
+    assert drop(pursuit, provider.manifest(0), "stranger") == "not_asked"
+    assert pursuit.offer(provider.manifest(0), first) is None
+    assert isinstance(pursuit.ask()[1], Need)
+
+
+def test_tiles_from_anybody_prove_themselves_and_useless_ones_put_nothing_off():
+    pursuit, provider, _, manifest = pursuing()
+    pursuit.ask()
+    waiting = pursuit.catch_up.wake_at
+    pursuit.now += 0.5
+    assert pursuit.offer(tiles_message((TileKey(9, 9), tile(1))), "stranger") is None
+    assert pursuit.catch_up.wake_at == waiting
+    everything = tiles_message(*provider.checkpoint.cells.items())
+    assert pursuit.offer(everything, "stranger").root() == manifest.root
 
 
 def test_a_manifest_that_is_not_newer_is_stale():

@@ -12,7 +12,7 @@ from mapping.lattice import TileKey
 from swarm import messages
 from swarm.drops import Drop
 from swarm.limits import MAX_MESSAGE, MAX_NEED
-from swarm.messages import REFUSED, Digest, Hello, Manifest, Mark, Need, Session, Update, Want, decode, encode
+from swarm.messages import REFUSED, Control, Digest, Hello, Manifest, Mark, Need, Session, Update, Want, decode, encode
 
 KINDS = sorted(messages._KINDS.values(), key=lambda kind: kind.KIND)
 
@@ -67,7 +67,7 @@ nested = st.recursive(
 )
 
 
-@given(st.integers(1, 9), st.lists(nested, max_size=9))
+@given(st.integers(1, 11), st.lists(nested, max_size=9))
 def test_whatever_msgpack_can_say_is_dropped_or_a_message(kind, rest):
     try:
         message = decode(msgpack.packb([1, kind, *rest]))
@@ -102,7 +102,9 @@ WANT = [1, Want.KIND, bytes(8), 3, 0]
         ([*WANT[:3], -2, 0], "out_of_range"),
         ([*WANT[:3], 2**31, 0], "out_of_range"),
         ([*WANT[:2], bytes(7), 3, 0], "out_of_range"),
-        ([1, Digest.KIND, 0, bytes(13)], "out_of_range"),
+        ([1, Digest.KIND, 0, 0, bytes(13)], "out_of_range"),
+        ([1, Hello.KIND, 1, b"r", b"", bytes(7)], "out_of_range"),
+        ([1, Control.KIND, 3, bytes(8), 1, bytes(8), b"\1"], "out_of_range"),
         ([1, 2, [3]], "not_msgpack"),
         ({1: 2}, "not_msgpack"),
         (["text", 2], "not_msgpack"),
@@ -164,9 +166,13 @@ def test_we_do_not_send_what_others_would_drop():
         encode(Session(b""))
 
 
-@given(st.dictionaries(st.binary(min_size=8, max_size=8), st.integers(0, REFUSED), max_size=9), st.booleans())
-def test_a_digest_gives_back_its_positions(positions, complete):
-    digest = decode(encode(Digest.of(positions.items(), complete=complete)))
+u64 = st.integers(0, 2**64 - 1)
+
+
+@given(st.dictionaries(st.binary(min_size=8, max_size=8), st.integers(0, REFUSED), max_size=9), st.booleans(), u64)
+def test_a_digest_gives_back_its_positions(positions, complete, controls):
+    digest = decode(encode(Digest.of(positions.items(), complete=complete, controls=controls)))
+    assert digest.controls == controls
     assert digest.positions() == positions
     assert digest.complete == complete
 
@@ -200,11 +206,12 @@ def test_as_many_entries_as_are_said_to_fit_do_fit(mtu):
     assert len(need) <= mtu
     assert Need.fitting(mtu) <= MAX_NEED
     if Digest.fitting(mtu) <= 4096:
-        assert len(encode(Digest.of([(bytes(8), 1)] * Digest.fitting(mtu), complete=False))) <= mtu
+        digest = Digest.of([(bytes(8), 1)] * Digest.fitting(mtu), complete=False, controls=2**64 - 1)
+        assert len(encode(digest)) <= mtu
 
 
 def test_kinds_are_numbered_from_one_and_topics_are_plain_words():
-    assert [kind.KIND for kind in KINDS] == [*range(1, 10)]
-    assert len({kind.TOPIC for kind in KINDS}) == 9
+    assert [kind.KIND for kind in KINDS] == [*range(1, 12)]
+    assert len({kind.TOPIC for kind in KINDS}) == 11
     assert all(kind.TOPIC.isalpha() for kind in KINDS)
     assert (Update.SCANS, Update.CELLS, Update.TILES) == (1, 2, 3)

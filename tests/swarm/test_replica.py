@@ -210,6 +210,23 @@ def test_tiles_are_supplied_by_their_content_and_fit_the_mtu():
     assert len([*WRITER.supply(Need(SESSION, 40, 0, Need.pack(wanted)), 32768)]) == 1
 
 
+def test_a_tile_named_many_times_is_supplied_once_and_deflated_once_for_all_who_ask(monkeypatch):
+    replica, _ = written(40)
+    calls = []
+
+    def counting(key, *rest):
+        calls.append(key)
+        return encode_tile(key, *rest)
+
+    monkeypatch.setattr(replica_module, "encode_tile", counting)
+    key, mark = next(iter(replica.checkpoint.marks.items()))
+    need = Need(SESSION, 40, 0, Need.pack([(key, mark.hash)] * 500))
+    for _ in range(3):
+        [message] = replica.supply(need, 32768)
+        assert decode_tiles(message.payload).keys() == {key}
+    assert calls == [key]
+
+
 def test_a_provider_that_has_moved_on_answers_with_its_own_manifest():
     old, _ = written(20)
     wanted = [(key, mark.hash) for key, mark in old.checkpoint.marks.items()]
@@ -225,3 +242,16 @@ def test_a_writers_update_that_others_apply_leads_to_its_own_state():
         offer(replica, update)
     assert replica.state.root() == WRITER.state.root()
     assert State().root() == new().state.root()
+
+
+def test_a_tile_that_is_asked_for_again_is_not_deflated_again(monkeypatch):
+    """Of many tiles: a provider that deflates them at every retry is still at it when nobody asks any more."""
+    deflated = []
+    encode_tile = replica_module.encode_tile
+    monkeypatch.setattr(replica_module, "encode_tile", lambda *tile: deflated.append(tile) or encode_tile(*tile))
+    replica, _ = written(45)
+    wanted = [(key, mark.hash) for key, mark in replica.checkpoint.marks.items()]
+    need = Need(SESSION, replica.checkpoint.n, 0, Need.pack(wanted))
+    first, second = list(replica.supply(need, 32768)), list(replica.supply(need, 32768))
+    assert first == second
+    assert len(deflated) == len(wanted)

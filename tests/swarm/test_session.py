@@ -27,6 +27,7 @@ def descriptors(draw):
         Rules(Lattice(cell), draw(models)),
         Sensor(draw(beams), draw(st.integers(1, min(65_000, 4095 * cell)))),
         draw(st.none() | st.builds(QuantisedPose, place, place, angle)),
+        draw(st.none() | st.just(b"replaced")),
     )
 
 
@@ -45,6 +46,7 @@ def test_decode_after_encode_is_identity(descriptor):
 def test_the_plain_client_reads_the_same(plain_client, descriptor):
     found = plain_client.decode_descriptor(descriptor.encode())
     assert (found.robot, found.session, found.start) == (descriptor.robot, descriptor.session, descriptor.start)
+    assert found.replaces == descriptor.replaces
     assert found.beams == [tuple(beam) for beam in descriptor.sensor.beams]
 
 
@@ -106,6 +108,9 @@ FIELDS = msgpack.unpackb(PLAIN.encode())
         (9, bytes(9)),
         (9, (MAX_COORDINATE_MM + 1).to_bytes(4, "little") + bytes(6)),
         (9, None),
+        (10, bytes(7)),
+        (10, bytes(range(8))),  # itself
+        (10, None),
     ],
 )
 def test_a_field_outside_its_limits_drops_the_whole(index, value):
@@ -133,6 +138,10 @@ def test_a_bad_name_or_session_id_is_our_mistake():
         Descriptor("r 1", bytes(8), RULES, orion(), None)
     with pytest.raises(ValueError, match="expected 8 bytes"):
         Descriptor("r1", bytes(9), RULES, orion(), None)
+    with pytest.raises(ValueError, match="replace: expected 8 bytes"):
+        Descriptor("r1", bytes(8), RULES, orion(), None, bytes(7))
+    with pytest.raises(ValueError, match="cannot replace itself"):
+        Descriptor("r1", bytes(8), RULES, orion(), None, bytes(8))
 
 
 @pytest.mark.parametrize(

@@ -163,19 +163,21 @@ def test_a_correction_gives_the_map_of_a_run_that_had_it_right_from_the_start(fo
     descriptor = writer.replica.descriptor
     after = integrated({}, right, descriptor.sensor, descriptor.rules.model, descriptor.rules.lattice)
     gone = {key: np.zeros_like(cells) for key, cells in writer.replica.state.cells.items() if key not in after}
-    updates = [update for update, _ in writer.correct(after | gone)]
-    assert {update.form for update in updates} == {Update.CELLS}
+    writer.correct(after | gone)
+    updates = [update for update, _ in writer.updates()]
+    assert max(len(encode(update)) for update in updates) <= mtu or form == "tiles"
     for update in updates:
         assert len([*copy.offer(update)]) == 1
     assert map_digest(copy.state.cells) == truth(right, writer)
-    assert [*writer.correct(after)] == []
+    writer.correct(after)
+    assert not writer.waiting
 
 
 def test_correcting_before_all_is_published_is_our_mistake():
     writer, _ = pair()
     writer.sense(some_scans(1, 1))
     with pytest.raises(AssertionError):
-        [*writer.correct({})]
+        writer.correct({})
 
 
 def test_several_tiles_and_their_trail_fit_the_mtu_together():
@@ -211,3 +213,63 @@ def test_a_map_that_is_full_is_told_and_nothing_more_is_published(monkeypatch, f
     with pytest.raises(MapFullError, match="robot r1 is full"):
         publish(writer, copy)
     assert writer.replica.state.n == copy.state.n
+
+
+def standing_still(count):
+    """A robot that stands in a corner and cannot publish what it senses."""
+    chance = np.random.default_rng(1)
+    ranges = np.array([310, 402, 655, 320, 500]) + chance.integers(-9, 10, (count, 5))
+    return Scans(np.arange(count, dtype=np.int64) * 100, np.zeros((count, 3), np.int32), ranges.astype(np.uint16))
+
+
+@pytest.mark.parametrize("mtu", [84, 174])
+def test_scans_that_had_to_wait_long_become_the_cells_they_changed_where_that_is_cheaper(mtu):
+    sizes = {}
+    for form in ("scans", "auto"):
+        writer, copy = pair(form, mtu=mtu)
+        writer.sense(standing_still(2000))
+        updates = publish(writer, copy)
+        assert max(len(encode(update)) for update in updates) <= mtu
+        assert map_digest(copy.state.cells) == truth(standing_still(2000), writer)
+        sizes[form] = sum(len(encode(update)) for update in updates)
+    assert sizes["auto"] * 2 <= sizes["scans"]
+
+
+def test_what_is_sensed_while_cells_wait_comes_on_top_of_them():
+    writer, copy = pair(mtu=84)
+    before, after = standing_still(2000), some_scans(1, 30)
+    writer.sense(before)
+    for _ in range(3):
+        update, _ = writer.next_update(partial=True)
+        assert len([*copy.offer(update)]) == 1
+    writer.sense(after)
+    publish(writer, copy)
+    assert map_digest(copy.state.cells) == truth(Scans.join([before, after]), writer)
+
+
+def test_cells_of_many_scans_come_with_a_glimpse_of_where_the_robot_is():
+    writer, copy = pair(mtu=174)
+    scans = standing_still(5000)
+    writer.sense(scans)
+    trails = [decode_scans(update.trail, 0, 0) for update in publish(writer, copy) if update.trail]
+    stamps = np.concatenate([trail.stamps_ms for trail in trails])
+    assert 8 <= len(stamps) <= 16
+    assert stamps[-1] == scans.stamps_ms[-1]
+
+
+def test_more_scans_than_may_wait_become_cells_whatever_they_cost(monkeypatch):
+    monkeypatch.setattr(writer_module, "_MOST_WAITING", 200)
+    writer, copy = pair("scans", mtu=84)
+    writer.sense(some_scans(1, 300))
+    assert {update.form for update in publish(writer, copy)} == {Update.CELLS}
+
+
+def test_only_full_updates_are_made_before_their_time():
+    writer, _ = pair(mtu=300)
+    writer.sense(some_scans(1, 3))
+    assert writer.next_update(partial=False) is None
+    assert not writer.full
+    writer.sense(some_scans(2, 100))
+    assert writer.full
+    update, _ = writer.next_update(partial=False)
+    assert len(encode(update)) > 270

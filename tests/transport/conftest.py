@@ -17,6 +17,7 @@ import pytest
 from transport.bus import Bus, BusError, Event, Joined, Message
 from transport.in_process import Network
 from transport.zenoh_bus import ZenohBus
+from transport.zmq_bus import ZmqBus
 
 PATIENCE = 15.0
 """Seconds after which what should have come counts as lost; a test that passes never waits that long."""
@@ -83,8 +84,10 @@ class InProcessHarness(Harness):
         self.network.advance(self.network.now + 0.01)
 
 
-class ZenohHarness(Harness):
+class LoopbackHarness(Harness):
     """Each peer listens on a free port of 127.0.0.1 and connects to all who came before."""
+
+    bus: type[ZenohBus | ZmqBus]
 
     def __init__(self) -> None:
         super().__init__()
@@ -94,7 +97,7 @@ class ZenohHarness(Harness):
         for _ in range(5):
             endpoint = _free_endpoint()
             try:
-                bus = ZenohBus("test", peer, listen=[endpoint], connect=self._endpoints, max_messages=max_messages)
+                bus = self.bus("test", peer, listen=[endpoint], connect=self._endpoints, max_messages=max_messages)
             except BusError:  # somebody took the port between our asking and our listening
                 continue
             self._endpoints.append(endpoint)
@@ -105,9 +108,18 @@ class ZenohHarness(Harness):
         """It does."""
 
 
+class ZenohHarness(LoopbackHarness):
+    bus = ZenohBus
+
+
+class ZmqHarness(LoopbackHarness):
+    bus = ZmqBus
+
+
 HARNESSES: list[object] = [
     pytest.param(InProcessHarness, id="in_process"),
     pytest.param(ZenohHarness, id="zenoh", marks=pytest.mark.processes),
+    pytest.param(ZmqHarness, id="zmq", marks=pytest.mark.processes),
 ]
 
 
@@ -122,6 +134,21 @@ def harness(request: pytest.FixtureRequest) -> Iterator[Harness]:
 @pytest.fixture
 def zenoh_harness() -> Iterator[ZenohHarness]:
     harness = ZenohHarness()
+    yield harness
+    harness.close()
+
+
+@pytest.fixture
+def zmq_harness() -> Iterator[ZmqHarness]:
+    harness = ZmqHarness()
+    yield harness
+    harness.close()
+
+
+@pytest.fixture(params=[ZenohHarness, ZmqHarness], ids=["zenoh", "zmq"])
+def wire(request: pytest.FixtureRequest) -> Iterator[LoopbackHarness]:
+    """Every bus that has sockets; ``wire.bus`` is its class."""
+    harness: LoopbackHarness = request.param()
     yield harness
     harness.close()
 
@@ -142,13 +169,21 @@ PeerProcess = Callable[..., "subprocess.Popen[str]"]
 
 
 @pytest.fixture
-def peer_process() -> Iterator[PeerProcess]:
+def peer_process(wire: LoopbackHarness) -> Iterator[PeerProcess]:
     """Starts `a_peer.py` in a new interpreter (never by a fork), and leaves none behind."""
     with ExitStack() as stack:
 
         def start(peer: str, *, listen: str = "-", connect: str = "-", then: str = "echo") -> subprocess.Popen[str]:
             process = subprocess.Popen(
-                [sys.executable, str(Path(__file__).with_name("a_peer.py")), peer, listen, connect, then],
+                [
+                    sys.executable,
+                    str(Path(__file__).with_name("a_peer.py")),
+                    wire.bus.__name__,
+                    peer,
+                    listen,
+                    connect,
+                    then,
+                ],
                 stdin=subprocess.PIPE,  # it ends when we do
                 stdout=subprocess.PIPE,
                 stderr=subprocess.PIPE,

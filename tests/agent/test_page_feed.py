@@ -1,0 +1,202 @@
+"""What browsers are sent: put together again it is the map, however slowly it is taken."""
+
+from __future__ import annotations
+
+import msgpack
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from agent.page_feed import FRAME_TILES, FUSED, MOST_HISTORY, Feed
+from agent.page_snapshot import Snapshot, Snapshots
+from mapping.evidence import EvidenceModel
+from mapping.lattice import TILE, Lattice, TileKey
+from mapping.map_picture import robot_colour
+from mapping.pose import QuantisedPose
+from swarm.session import Rules
+
+RULES = Rules(Lattice(50), EvidenceModel())
+
+
+class Screen:
+    """A browser's memory: what its frames made of it."""
+
+    def __init__(self) -> None:
+        self.tiles: dict[str, dict[TileKey, np.ndarray]] = {}
+        self.trails: dict[str, list[list[int]]] = {}
+        self.hits: dict[str, int] = {}
+        self.history: list[list[float]] = []
+        self.state: dict = {}
+        self.ended = False
+
+    def show(self, frame: bytes) -> None:
+        content = msgpack.unpackb(frame)
+        for layer, keys, cells in content.get("tiles", []):
+            places = np.frombuffer(keys, "<i4").reshape(-1, 2).tolist()
+            values = np.frombuffer(cells, "<i2").reshape(-1, TILE, TILE)
+            assert len(places) == len(values)
+            self.tiles.setdefault(layer, {}).update(zip([TileKey(*place) for place in places], values, strict=True))
+        for layer, first, trail, hits in content.get("tracks", []):
+            known = self.trails.setdefault(layer, [])
+            assert first == len(known)
+            known += np.frombuffer(trail, "<i4").reshape(-1, 3).tolist()
+            self.hits[layer] = self.hits.get(layer, 0) + len(hits) // 8
+        self.history += content.get("history", [])
+        self.state = content.get("state", self.state)
+        self.ended = content.get("ended", False)
+
+    def follow(self, browser) -> None:
+        while (frame := browser.frame()) is not None:
+            self.show(frame)
+
+
+def bare(fused: dict, now: float = 0.0) -> Snapshot:
+    """A snapshot of a map alone."""
+    return Snapshot(now=now, rules=RULES, fused=fused, sessions=(), peers=(), bytes_rate=0.0)
+
+
+@pytest.fixture
+def feed() -> Feed:
+    return Feed("lab", ["r1", "r2"])
+
+
+def test_frames_put_together_are_the_map_and_every_robots_own(watched, straight, feed) -> None:
+    snapshots = Snapshots(watched.observer, watched.tracks, watched.heard)
+    sessions = [watched.robot("r1"), watched.robot("r2")]
+    early, late = Screen(), Screen()
+    browser = feed.join()
+    for k in range(5):
+        watched.sense("r1", straight(20, y_mm=300 * k, first_ms=2000 * k))
+        watched.sense("r2", straight(20, y_mm=-300 * k, first_ms=2000 * k))
+        feed.take(snapshots.take(watched.now))
+        early.follow(browser)
+    late.follow(feed.join())
+    for screen in (early, late):
+        layers = {FUSED: watched.observer.fusion.tiles}
+        layers |= {session.hex(): watched.observer.replicas[session].state.cells for session in sessions}
+        assert screen.tiles.keys() == layers.keys()
+        for layer, tiles in layers.items():
+            assert screen.tiles[layer].keys() == tiles.keys()
+            assert all((screen.tiles[layer][key] == cells).all() for key, cells in tiles.items())
+        assert screen.trails == {s.hex(): watched.tracks.of(s).trail.tolist() for s in sessions}
+        assert screen.state["digest"] == watched.observer.fusion.digest().hex()
+    cells = sum(int(np.count_nonzero(cells)) for cells in watched.observer.fusion.tiles.values())
+    assert early.state["known_m2"] == pytest.approx(cells * 0.0025)
+    assert early.hits[sessions[0].hex()] == 500
+
+
+def test_a_browser_that_takes_nothing_costs_a_set_of_keys_and_gets_the_newest(feed) -> None:
+    browser = feed.join()
+    keys = [TileKey(0, k) for k in range(30)]
+    for value in range(1, 200):
+        feed.take(bare({key: np.full((TILE, TILE), value, np.int32) for key in keys}))
+    assert len(browser.lacks) == 30
+    screen = Screen()
+    screen.show(browser.frame())
+    assert all((cells == 199).all() for cells in screen.tiles[FUSED].values())
+    assert browser.frame() is None
+
+
+def test_frames_are_bounded_and_nothing_is_sent_twice(feed) -> None:
+    feed.take(bare({TileKey(k, k): np.full((TILE, TILE), k + 1, np.int32) for k in range(3 * FRAME_TILES)}))
+    browser, screen, frames = feed.join(), Screen(), 0
+    while (frame := browser.frame()) is not None:
+        assert len(frame) < FRAME_TILES * 2100 + 2000
+        screen.show(frame)
+        frames += 1
+    assert frames == 3
+    assert len(screen.tiles[FUSED]) == 3 * FRAME_TILES
+
+
+@given(st.lists(st.integers(-(2**31), 2**31 - 1), min_size=1, max_size=8))
+def test_evidence_beyond_16_bits_is_cut_and_keeps_its_sign(values) -> None:
+    feed = Feed("lab", [])
+    cells = np.zeros((TILE, TILE), np.int32)
+    cells[0, : len(values)] = values
+    feed.take(bare({TileKey(-1, 2): cells}))
+    screen = Screen()
+    screen.follow(feed.join())
+    assert screen.tiles[FUSED][TileKey(-1, 2)][0, : len(values)].tolist() == np.clip(values, -32768, 32767).tolist()
+
+
+def test_a_tile_that_is_gone_is_sent_as_unknown(feed) -> None:
+    key = TileKey(0, 0)
+    feed.take(bare({key: np.ones((TILE, TILE), np.int32)}))
+    browser, screen = feed.join(), Screen()
+    screen.follow(browser)
+    feed.take(bare({}))
+    screen.follow(browser)
+    assert not screen.tiles[FUSED][key].any()
+
+
+def test_it_is_told_who_saw_a_cell_and_when(watched, straight, feed) -> None:
+    snapshots = Snapshots(watched.observer, watched.tracks, watched.heard)
+    watched.robot("r1")
+    watched.robot("r2")
+    watched.sense("r1", straight(3))
+    feed.take(snapshots.take(watched.now))
+    watched.now += 30
+    watched.sense("r2", straight(2))
+    feed.take(snapshots.take(watched.now))
+    found = feed.cell(0, 0)
+    assert [each["robot"] for each in found["witnesses"]] == ["r1", "r2"]
+    assert found["evidence"] == sum(each["evidence"] for each in found["witnesses"])
+    assert found["evidence"] == watched.observer.fusion.tiles[TileKey(0, 0)][0, 0]
+    assert found["witnesses"][0]["seconds"] > 30 > found["witnesses"][1]["seconds"]
+    assert feed.cell(-1000, 5000)["witnesses"] == []
+
+
+def test_an_evicted_robot_leaves_the_map_and_keeps_its_layer(watched, straight, feed) -> None:
+    snapshots = Snapshots(watched.observer, watched.tracks, watched.heard)
+    session = watched.robot("r1")
+    watched.sense("r1", straight(5))
+    feed.take(snapshots.take(watched.now))
+    browser, screen = feed.join(), Screen()
+    screen.follow(browser)
+    watched.observer.evict(session, watched.now)
+    feed.take(snapshots.take(watched.now))
+    screen.follow(browser)
+    assert not any(cells.any() for cells in screen.tiles[FUSED].values())
+    assert any(cells.any() for cells in screen.tiles[session.hex()].values())
+    (told,) = screen.state["sessions"]
+    assert (told["summed"], told["evicted"], told["reason"]) == (False, True, "evicted by observer")
+
+
+def test_a_robot_without_a_start_pose_says_so(watched, straight, feed) -> None:
+    watched.robot("r9", start=None)
+    watched.sense("r9", straight(5))
+    feed.take(Snapshots(watched.observer, watched.tracks, watched.heard).take(watched.now))
+    (told,) = feed.state["sessions"]
+    assert (told["start"], told["sensed_from"], told["reason"]) == (None, None, "no start pose")
+    watched.observer.set_start_pose("r9", QuantisedPose(1, 2, 3), watched.now)
+    feed.take(Snapshots(watched.observer, watched.tracks, watched.heard).take(watched.now))
+    assert feed.state["sessions"][0]["start"] == [1, 2, 3]
+
+
+def test_colours_are_those_of_the_roster(feed) -> None:
+    assert [feed.rgb(robot) for robot in ("r1", "r2", "stranger")] == [robot_colour(k) for k in range(3)]
+    assert feed.colour("r1") == "#0072b2"
+
+
+def test_the_history_thins_out_and_is_sent_once(feed) -> None:
+    browser, screen = feed.join(), Screen()
+    for k in range(3 * MOST_HISTORY):
+        feed.take(bare({}, now=0.5 * k))
+        screen.follow(browser)
+    assert len(feed.history) <= MOST_HISTORY
+    times = [row[0] for row in screen.history]
+    assert times == sorted(set(times))
+    assert times[-1] > 0.9 * 1.5 * MOST_HISTORY
+
+
+def test_the_last_frame_says_that_the_swarm_has_ended(feed) -> None:
+    browser, screen = feed.join(), Screen()
+    feed.take(bare({}))
+    screen.follow(browser)
+    assert not screen.ended
+    feed.end(bare({TileKey(0, 0): np.ones((TILE, TILE), np.int32)}))
+    screen.show(browser.frame())
+    assert screen.ended
+    assert screen.state["ended"]
+    assert (screen.tiles[FUSED][TileKey(0, 0)] == 1).all()

@@ -1,0 +1,48 @@
+"""Where the page listens."""
+
+from __future__ import annotations
+
+import socket
+
+import pytest
+
+from agent.errors import UserError
+from agent.page_options import PageOptions, can_open, is_loopback
+
+
+def test_a_port_that_was_asked_for_and_is_taken_is_the_users_to_mend() -> None:
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        with pytest.raises(UserError, match=f"--port: 127.0.0.1:{port}: address already in use; give another"):
+            PageOptions(port=port).listen()
+
+
+def test_without_a_port_any_will_do() -> None:
+    with PageOptions().listen() as one, PageOptions().listen() as other:
+        assert one.getsockname() != other.getsockname()
+
+
+def test_an_address_of_somebody_else_is_refused() -> None:
+    with pytest.raises(UserError, match=r"--port: 192\.0\.2\.1:0"):
+        PageOptions(host="192.0.2.1", port=0).listen()
+
+
+def test_options_are_passed_on() -> None:
+    assert PageOptions("::1", 9000, open=True).arguments() == ["--page", "--host", "::1", "--port", "9000", "--open"]
+    assert PageOptions().arguments() == ["--page", "--host", "127.0.0.1", "--no-open"]
+
+
+def test_what_is_this_machine_alone() -> None:
+    assert all(map(is_loopback, ("127.0.0.1", "127.9.9.9", "::1", "localhost")))
+    assert not any(map(is_loopback, ("0.0.0.0", "192.168.1.5", "::", "evil.example", "localhost.evil.example", "")))
+
+
+def test_a_browser_is_started_only_where_there_is_a_screen(monkeypatch) -> None:
+    monkeypatch.setattr("sys.platform", "linux")
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    assert not can_open()
+    monkeypatch.setenv("DISPLAY", ":0")
+    assert can_open()
