@@ -15,7 +15,7 @@ from urllib.parse import urlsplit
 import numpy as np
 from numpy.typing import NDArray
 from selenium import webdriver
-from selenium.common.exceptions import StaleElementReferenceException
+from selenium.common.exceptions import NoSuchElementException, StaleElementReferenceException
 from selenium.webdriver.chrome.options import Options
 from selenium.webdriver.chrome.service import Service
 from selenium.webdriver.common.action_chains import ActionChains
@@ -75,8 +75,8 @@ class Viewer:
             try:
                 if result := condition():
                     return result
-            except StaleElementReferenceException:
-                pass  # it has just been drawn anew
+            except (NoSuchElementException, StaleElementReferenceException):
+                pass  # it has just been drawn anew, or the page is not there yet
             assert time.monotonic() < deadline, f"not so within {within} s"
             time.sleep(0.05)
 
