@@ -6,18 +6,23 @@
 from __future__ import annotations
 
 import json
+import os
 import sys
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
+from agent.completion import FORMS, POSES, RADIOS, TRANSPORTS, one_of, robots, worlds
 from agent.config_command import app as config_app
 from agent.errors import UserError
 from agent.log_command import app as log_app
 from agent.map_command import app as map_app
+from agent.news import WRITERS, Form, of_error
+from agent.outputs import Outputs
 from agent.packaged_worlds import world_names
-from agent.page_options import PageOptions, can_open
+from agent.page_options import OpenOption, PageHost, PagePort, page_options
 
 _SWITCH_INTERVAL = 0.0005
 """Seconds. With Python's 5 ms a loop that is busy mapping keeps what comes in waiting: p50 3.5 ms instead of 0.8."""
@@ -35,28 +40,34 @@ app.add_typer(config_app, name="config")
 
 ConfigFile = Annotated[Path | None, typer.Option("-c", "--config", metavar="FILE", help="The swarm's TOML.")]
 Cell = Annotated[float | None, typer.Option(metavar="M", help="Cell size in metres, whole millimetres.")]
-SpeedOption = Annotated[str, typer.Option(metavar="X|max", help="Times real time, or max.")]
+SpeedOption = Annotated[
+    str, typer.Option(metavar="X|max", help="Times real time, or max.", autocompletion=one_of(["max"]))
+]
 Out = Annotated[Path, typer.Option(metavar="DIR", help="Where the map and the resolved configuration go.")]
 BasePort = Annotated[int | None, typer.Option(metavar="P", help="Robot k listens on P + k (default 7450).")]
-Transport = Annotated[str | None, typer.Option(metavar="zenoh|zmq", help="The bus between peers.")]
-Radio = Annotated[
-    str | None, typer.Option(metavar="PROFILE", help="What the network can carry: lan, digimesh-1hop, -3hop or -6hop.")
+Transport = Annotated[
+    str | None,
+    typer.Option(metavar="|".join(TRANSPORTS), help="The bus between peers.", autocompletion=one_of(TRANSPORTS)),
 ]
-PublishOption = Annotated[str | None, typer.Option(metavar="FORM", help="auto, scans or tiles.")]
+Radio = Annotated[
+    str | None,
+    typer.Option(
+        metavar="PROFILE",
+        help="What the network can carry: lan, digimesh-1hop, -3hop or -6hop.",
+        autocompletion=one_of(RADIOS),
+    ),
+]
+PublishOption = Annotated[
+    str | None, typer.Option(metavar="FORM", help="auto, scans or tiles.", autocompletion=one_of(FORMS))
+]
 State = Annotated[Path | None, typer.Option(metavar="DIR", help="Where the map is kept from one run to the next.")]
 Record = Annotated[
     Path | None, typer.Option(metavar="FILE.mcap", help="A new file for a log of all that happens, to replay.")
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="One JSON object as the last line of stdout.")]
 PageOption = Annotated[bool, typer.Option("--page/--no-page", help="Show the map live in a browser.")]
-PagePort = Annotated[
-    int | None, typer.Option("--port", metavar="P", min=0, max=65535, help="Where the page is (default 8750).")
-]
-PageHost = Annotated[
-    str, typer.Option("--host", metavar="H", help="Where the page listens; not only here: then it wants a token.")
-]
-OpenOption = Annotated[
-    bool | None, typer.Option("--open/--no-open", help="Start a browser; by default in a terminal on a screen.")
+LogOption = Annotated[
+    Form | None, typer.Option("--log", help="How news is written on stderr: by default text for a terminal, else JSON.")
 ]
 SupervisedOption = Annotated[bool, typer.Option("--supervised", hidden=True)]
 
@@ -70,7 +81,10 @@ def demo(
     cell: Cell = None,
     speed: SpeedOption = "10",
     world: Annotated[
-        str, typer.Option(metavar="NAME|FILE", help=f"{', '.join(world_names())}, or a YAML of walls.")
+        str,
+        typer.Option(
+            metavar="NAME|FILE", help=f"{', '.join(world_names())}, or a YAML of walls.", autocompletion=worlds
+        ),
     ] = "paper",
     seed: Annotated[int, typer.Option(min=0, help="Decides the sensors' noise.")] = 1,
     publish: PublishOption = None,
@@ -91,10 +105,10 @@ def demo(
     from agent.launch import demo_config, launch
 
     options = _swarm_options(cell, publish, transport, radio, base_port)
-    shown = _page(page, port, host, open_page)
+    outputs = Outputs(page_options(port, host, open_page) if page else None, record, state=state)
     base = load(config, options)
     resolved = demo_config(base, world=world, robots=robots, speed=_speed(speed), seed=seed)
-    converged = launch(resolved, out, simulated=True, as_json=as_json, state=state, page=shown, record=record)
+    converged = launch(resolved, out, outputs, simulated=True, as_json=as_json)
     raise typer.Exit(0 if converged else 1)
 
 
@@ -114,7 +128,9 @@ def replay(
     max_range: Annotated[
         float | None, typer.Option(metavar="M", help="Readings beyond it free their ray up to it.")
     ] = None,
-    poses: Annotated[str | None, typer.Option(metavar="WHICH", help="truth, odometry or slam.")] = None,
+    poses: Annotated[
+        str | None, typer.Option(metavar="WHICH", help="truth, odometry or slam.", autocompletion=one_of(POSES))
+    ] = None,
     speed: SpeedOption = "max",
     publish: PublishOption = None,
     transport: Transport = None,
@@ -134,7 +150,7 @@ def replay(
     from agent.launch import launch, replay_config
 
     options = _swarm_options(cell, publish, transport, radio, base_port)
-    shown = _page(page, port, host, open_page)
+    outputs = Outputs(page_options(port, host, open_page) if page else None, record, state=state)
     base = load(config, options)
     if any(path.suffix.lower() == ".mcap" for path in recordings):
         from agent.repeater import log_config
@@ -144,23 +160,39 @@ def replay(
         resolved = log_config(base, recordings[0], _speed(speed))
     else:
         resolved = replay_config(base, recordings, robots=robots, poses=poses, max_range=max_range, speed=_speed(speed))
-    converged = launch(resolved, out, simulated=False, as_json=as_json, state=state, page=shown, record=record)
+    converged = launch(resolved, out, outputs, simulated=False, as_json=as_json)
     raise typer.Exit(0 if converged else 1)
 
 
 @app.command(epilog="Example: orion agent -c lab.toml --robot r1 --state state/")
 def agent(
     config: Annotated[Path, typer.Option("-c", "--config", metavar="FILE", help="The swarm's TOML.")],
-    robot: Annotated[str, typer.Option(metavar="ID", help="Which robot of the roster this is.")],
+    robot: Annotated[str, typer.Option(metavar="ID", help="Which robot of the roster this is.", autocompletion=robots)],
     state: State = None,
+    metrics_port: Annotated[
+        int | None,
+        typer.Option(metavar="P", min=0, max=65535, help="Where /healthz and /metrics are; nowhere if not given."),
+    ] = None,
+    metrics_host: Annotated[
+        str, typer.Option(metavar="H", help="Where they listen; not only here: then they want a token.")
+    ] = "127.0.0.1",
     as_json: AsJson = False,
+    log: LogOption = None,
     supervised: SupervisedOption = False,
 ) -> None:
     """One robot: its body, its session, its copy of the map. Runs until Ctrl-C."""
     from agent.config import load
+    from agent.probes import NO_PROBES, Probes
     from agent.robot import run_robot
 
-    _work(lambda control: run_robot(load(config, {}), robot, control, state), as_json=as_json, supervised=supervised)
+    def work(control: Any) -> dict[str, Any]:
+        swarm = load(config, {})
+        with NO_PROBES if metrics_port is None else Probes(swarm, metrics_host, metrics_port) as probes:
+            if probes.url:
+                control.tell("metrics", url=probes.url)
+            return run_robot(swarm, robot, control, state, probes)
+
+    _work(work, as_json=as_json, log=log, supervised=supervised)
 
 
 @app.command(epilog="Example: orion observe -c lab.toml --state state/ --out map/")
@@ -174,6 +206,10 @@ def observe(
     port: PagePort = None,
     host: PageHost = "127.0.0.1",
     open_page: OpenOption = None,
+    name: Annotated[
+        str | None,
+        typer.Option(metavar="NAME", help="Which observer of the file this is: it listens, so that others find it."),
+    ] = None,
     state: State = None,
     record: Record = None,
     ros2: Annotated[
@@ -183,6 +219,7 @@ def observe(
         str, typer.Option(metavar="ENDPOINT", help="Where ROS 2's Zenoh router listens.")
     ] = "tcp/127.0.0.1:7447",
     as_json: AsJson = False,
+    log: LogOption = None,
     supervised: SupervisedOption = False,
 ) -> None:
     """A peer without a body: follows the swarm until Ctrl-C, then writes the map."""
@@ -193,10 +230,49 @@ def observe(
     def work(control: Any) -> dict[str, Any]:
         swarm = load(config, {})
         folder = None if out is None else prepare_folder(out)
-        shown = _page(page, port, host, open_page)
-        return run_observer(swarm, folder, control, scans, state, shown, record, ros2_router if ros2 else None)
+        shown = page_options(port, host, open_page) if page else None
+        outputs = Outputs(shown, record, scans, state, ros2_router if ros2 else None)
+        return run_observer(swarm, folder, outputs, control, name)
 
-    _work(work, as_json=as_json, supervised=supervised)
+    _work(work, as_json=as_json, log=log, supervised=supervised)
+
+
+@app.command(epilog="Examples: orion top -c lab.toml    orion top -c lab.toml --once    orion top -c lab.toml --json")
+def top(
+    config: ConfigFile = None,
+    once: Annotated[
+        bool, typer.Option("--once", help="Print the table once; so too where there is no terminal.")
+    ] = False,
+    as_json: AsJson = False,
+) -> None:
+    """The swarm in a terminal: who is there, how each robot stands, what is sent and dropped, a small map."""
+    from rich.console import Console
+
+    from agent.config import load
+    from agent.control import Quiet
+    from agent.kernel import Compilation
+    from agent.operate import NobodyError
+    from agent.top import look, show
+    from agent.top_view import report
+
+    swarm, console = load(config, {}), Console()
+    live = console.is_terminal and not (once or as_json)
+    with Compilation() if live else nullcontext() as compilation:
+        control = Quiet(compilation)
+        control.obey_signals()
+        if live:
+            show(swarm, control, console)
+            return
+        try:
+            state = look(swarm, control)
+        except NobodyError:
+            raise _nobody(swarm, "nothing is known") from None
+    if as_json:
+        typer.echo(json.dumps(state))
+    else:
+        console.print(report(state, console.width))
+    if not state["caught_up"]:
+        typer.echo("orion: not all that others hold is here yet", err=True)
 
 
 @app.command(epilog="Example: orion simulate -c lab.toml, and in other terminals orion agent -c lab.toml --robot r1")
@@ -206,6 +282,7 @@ def simulate(
         Path | None, typer.Option(metavar="FILE.npz", help="Where the robots' true ways are written at the end.")
     ] = None,
     as_json: AsJson = False,
+    log: LogOption = None,
     supervised: SupervisedOption = False,
 ) -> None:
     """The world and the bodies of all robots, each behind a serial port r1.tty beside the TOML. Runs until Ctrl-C."""
@@ -215,6 +292,7 @@ def simulate(
     _work(
         lambda control: run_simulation(load(config, {}), config.absolute().parent, control, truth),
         as_json=as_json,
+        log=log,
         supervised=supervised,
     )
 
@@ -225,7 +303,7 @@ def simulate(
     "orion start-pose r2 --x -0.5 --y 0 --yaw-deg -90 -c lab.toml --json",
 )
 def start_pose(
-    robot: Annotated[str, typer.Argument(metavar="ROBOT", help="Whose start pose.")],
+    robot: Annotated[str, typer.Argument(metavar="ROBOT", help="Whose start pose.", autocompletion=robots)],
     x: Annotated[float, typer.Option("--x", metavar="M", help="Metres in the common frame.")],
     y: Annotated[float, typer.Option("--y", metavar="M", help="Metres in the common frame.")],
     yaw_deg: Annotated[float, typer.Option("--yaw-deg", metavar="D", help="Degrees, counter-clockwise.")],
@@ -250,7 +328,11 @@ def start_pose(
 def evict(
     session: Annotated[
         str,
-        typer.Argument(metavar="SESSION|ROBOT", help="16 hex digits, the first few of them, or a robot's id."),
+        typer.Argument(
+            metavar="SESSION|ROBOT",
+            help="16 hex digits, the first few of them, or a robot's id.",
+            autocompletion=robots,
+        ),
     ],
     config: ConfigFile = None,
     readmit: Annotated[bool, typer.Option("--readmit", help="Take it back into the map.")] = False,
@@ -312,10 +394,11 @@ def doctor(
     raise typer.Exit(1 if worst(findings) == "problem" else 0)
 
 
-def _work(work: Any, *, as_json: bool, supervised: bool) -> None:
-    """Run one process of a swarm, for a person or for the command that started it."""
+def _work(work: Any, *, as_json: bool, log: Form | None, supervised: bool) -> None:
+    """Run one process of a swarm, for a person, a service manager or the command that started it."""
     from agent.control import Control, Supervised
     from agent.kernel import Compilation
+    from agent.service_manager import ServiceManager
 
     sys.setswitchinterval(_SWITCH_INTERVAL)
     if supervised:
@@ -326,19 +409,24 @@ def _work(work: Any, *, as_json: bool, supervised: bool) -> None:
             control.tell("error", where=error.where, what=error.what, remedy=error.remedy)
             raise typer.Exit(2) from None
         return
-    with Compilation() as compilation:
-        control = Control(compilation)
-        control.obey_signals()
-        summary = work(control)
-    if as_json:
+    form = log or (Form.TEXT if sys.stderr.isatty() else Form.JSON)
+    try:
+        with Compilation() as compilation:
+            control = Control(compilation, WRITERS[form], ServiceManager(os.environ))
+            control.obey_signals()
+            summary = work(control)
+    except UserError as error:
+        typer.echo(WRITERS[form](of_error(error)), err=True)
+        raise typer.Exit(2) from None
+    if as_json or form is Form.JSON:
         typer.echo(json.dumps(summary))
-    else:
-        for each in summary.pop("contributions", ()):
-            state = "in the map" if each["summed"] else "not in the map"
-            reason = f": {each['reason']}" if each["reason"] else ""
-            typer.echo(f"{each['robot']:>12}  session {each['session']}, {each['updates']} updates, {state}{reason}")
-        for key, value in summary.items():
-            typer.echo(f"{key:>12}  {value}")
+        return
+    for each in summary.pop("contributions", ()):
+        state = "in the map" if each["summed"] else "not in the map"
+        reason = f": {each['reason']}" if each["reason"] else ""
+        typer.echo(f"{each['robot']:>12}  session {each['session']}, {each['updates']} updates, {state}{reason}")
+    for key, value in summary.items():
+        typer.echo(f"{key:>12}  {value}")
 
 
 def _operate(config: Any, work: Any, *, as_json: bool) -> None:
@@ -348,23 +436,22 @@ def _operate(config: Any, work: Any, *, as_json: bool) -> None:
     try:
         result = operate(config, work)
     except NobodyError:
-        ports = f"{config.base_port} to {config.base_port + len(config.robots) - 1}"
-        typer.echo(f"orion: nobody of swarm {config.swarm} is there (ports {ports}); nothing was decided", err=True)
-        raise typer.Exit(1) from None
+        raise _nobody(config, "nothing was decided") from None
     typer.echo(json.dumps(result) if as_json else "\n".join(in_words(result)))
     raise typer.Exit(0 if result["known_to_all"] else 1)
+
+
+def _nobody(config: Any, so: str) -> typer.Exit:
+    """Say that there is no swarm; gives how the command ends."""
+    ports = f"{config.base_port} to {config.base_port + len(config.robots) - 1}"
+    typer.echo(f"orion: nobody of swarm {config.swarm} is there (ports {ports}); {so}", err=True)
+    return typer.Exit(1)
 
 
 def _swarm_options(
     cell: float | None, publish: str | None, transport: str | None, radio: str | None, base_port: int | None
 ) -> dict[str, Any]:
     return {"cell": cell, "publish": publish, "transport": transport, "radio": radio, "base_port": base_port}
-
-
-def _page(page: bool, port: int | None, host: str, open_page: bool | None) -> PageOptions | None:
-    if not page:
-        return None
-    return PageOptions(host, port, open=can_open() and (sys.stderr.isatty() if open_page is None else open_page))
 
 
 def _brings_its_own(recordings: list[Path], fixed: dict[str, Any]) -> None:

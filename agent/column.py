@@ -22,6 +22,13 @@ class Column:
         self._store: NDArray[Any] = np.empty((_FIRST, *width), dtype)
         self._count = 0
 
+    @classmethod
+    def of(cls, rows: NDArray[Any]) -> Column:
+        """A column that begins with these rows, which it never writes: whatever is appended makes it a copy first."""
+        column = cls(rows.dtype, rows.shape[1:])
+        column._store, column._count = rows, len(rows)
+        return column
+
     def __len__(self) -> int:
         return self._count
 
@@ -37,8 +44,9 @@ class Column:
             grown = np.empty((max(count, 2 * len(self._store)), *self._store.shape[1:]), self._store.dtype)
             grown[: self._count] = self.rows
             self._store = grown
-        self._store[self._count : count] = rows
-        self._count = count
+        if len(rows):
+            self._store[self._count : count] = rows
+            self._count = count
 
     def clear(self) -> None:
         """Hold nothing."""

@@ -135,6 +135,12 @@ class Robot(_Table):
     body: Annotated[SerialBody | RecordedBody | LogBody, Field(discriminator="kind")] | None = None
 
 
+class Station(_Table):
+    """An observer that others can find: it listens, so it keeps the swarm together when no robot is left."""
+
+    host: Annotated[str, AfterValidator(_host)] = "127.0.0.1"
+
+
 class Evidence(_Table):
     """What a reading is worth, in nats."""
 
@@ -243,12 +249,15 @@ class Config(_Table):
     sensor: Annotated[OrionSensor | LaserSensor | BeamsSensor, Field(discriminator="kind")] = OrionSensor()
     simulation: Simulation = Simulation()
     robots: dict[RobotId, Robot] = Field(default_factory=dict)
+    observers: dict[RobotId, Station] = Field(default_factory=dict)
 
     @model_validator(mode="after")
     def _values_fit(self) -> Config:
         self.rules().lattice.check_range(self.sensor.build().max_range_mm)
-        if self.base_port + len(self.robots) - 1 > 65535:
-            raise ValueError(f"base_port: {self.base_port} leaves no ports for {len(self.robots)} robots")
+        if both := self.robots.keys() & self.observers.keys():
+            raise ValueError(f"observers: {min(both)} is a robot's name")
+        if self.base_port + len(self.hosts) - 1 > 65535:
+            raise ValueError(f"base_port: {self.base_port} leaves no ports for {len(self.hosts)} peers")
         return self
 
     def rules(self) -> Rules:
@@ -260,13 +269,18 @@ class Config(_Table):
 
     @property
     def roster(self) -> list[str]:
-        """Robot ids in the order that gives each its index and port."""
+        """Robot ids in the file's order, which also numbers their ports."""
         return list(self.robots)
 
     @property
+    def listeners(self) -> list[str]:
+        """Who listens: the k-th on ``base_port + k``. The robots, then the observers that have a table."""
+        return [*self.robots, *self.observers]
+
+    @property
     def hosts(self) -> list[str]:
-        """The robots' hosts in the same order."""
-        return [robot.host for robot in self.robots.values()]
+        """Where the listeners are, in the same order."""
+        return [robot.host for robot in self.robots.values()] + [station.host for station in self.observers.values()]
 
     def toml(self) -> bytes:
         """The resolved configuration as a file."""
@@ -400,6 +414,8 @@ def _known_keys(location: tuple[int | str, ...]) -> set[str]:
             table = Start
         case ("robots", _):
             table = Robot
+        case ("observers", _):
+            table = Station
         case _:
             table = Config
     return set(table.model_fields)

@@ -15,6 +15,8 @@ from types import FrameType
 from typing import Any
 
 from agent.kernel import Compilation
+from agent.news import News, Writer, as_text
+from agent.service_manager import NO_SERVICE_MANAGER, ServiceManager
 
 
 class Stopped(Exception):  # noqa: N818 - it is no error
@@ -26,19 +28,26 @@ class Control:
 
     Args:
         compilation: of the kernel, if this process sees to it.
+        write: how a person is told.
+        manager: the service manager that started this process.
 
     Attributes:
         go: the body may move.
         stop: end, cleanly.
     """
 
-    def __init__(self, compilation: Compilation | None = None) -> None:
+    def __init__(
+        self,
+        compilation: Compilation | None = None,
+        write: Writer = as_text,
+        manager: ServiceManager = NO_SERVICE_MANAGER,
+    ) -> None:
         self.go = True
         self.stop = False
         self._compilation = compilation
-        self._apart: dict[str, str] = {}
-        self._around = 0
-        self._trouble: dict[str, str] = {}
+        self._news = News()
+        self._write = write
+        self._manager = manager
 
     @property
     def kernel(self) -> bool:
@@ -46,38 +55,15 @@ class Control:
         return self._compilation is not None and self._compilation.ready
 
     def tell(self, event: str, **facts: Any) -> None:
-        """Report: to a person, in lines on stderr, what is new and matters to one."""
-        lines = []
+        """Report: on stderr, what is new and matters to a person."""
+        for line in self._news.of(event, facts):
+            sys.stderr.write(f"{self._write(line)}\n")
         if event == "ready":
-            lines = [f"{facts['name']} is ready; Ctrl-C ends it"]
-        elif event == "page":
-            lines = [f"the map as it grows: {facts['url']}"]
-        elif event == "trouble":
-            lines = [facts["what"]]
-        elif event == "status":
-            apart = facts.get("apart", self._apart)
-            lines = [
-                f"session {session} of {reason}"
-                for session, reason in sorted(apart.items())
-                if self._apart.get(session) != reason
-            ]
-            lines += [
-                f"session {session} of {reason.partition(':')[0]}: all is well again"
-                for session, reason in sorted(self._apart.items())
-                if session not in apart
-            ]
-            self._apart = apart
-            for source in ("body", "state"):
-                trouble = facts.get(source, "")
-                if trouble and trouble != self._trouble.get(source):
-                    self._trouble[source] = trouble
-                    lines.append(trouble)
-            around = facts.get("around", self._around)
-            if around != self._around:
-                self._around = around
-                lines.append(f"{around} other peer" + "s" * (around != 1))
-        for line in lines:
-            sys.stderr.write(f"orion: {line}\n")
+            self._manager.say("READY=1")
+
+    def beat(self, now: float) -> None:
+        """The loop turns; to be called several times a second."""
+        self._manager.beat(now)
 
     def obey_signals(self) -> None:
         """Ctrl-C and a service manager's stop end the process cleanly; a second Ctrl-C ends it at once."""
@@ -86,9 +72,17 @@ class Control:
             if self.stop:
                 raise KeyboardInterrupt
             self.stop = True
+            self._manager.say("STOPPING=1")
 
         signal.signal(signal.SIGINT, stop)
         signal.signal(signal.SIGTERM, stop)
+
+
+class Quiet(Control):
+    """Orders from a terminal on which something else is shown."""
+
+    def tell(self, event: str, **facts: Any) -> None:
+        """Nothing."""
 
 
 class Supervised(Control):

@@ -24,7 +24,7 @@ from agent.config import Config
 from agent.errors import UserError
 from agent.kernel import Compilation
 from agent.member import Member
-from agent.page_options import PageOptions
+from agent.outputs import Outputs
 from agent.progress import Progress
 
 OBSERVER = "observer"
@@ -44,15 +44,13 @@ class Fleet:
     Args:
         config: the swarm.
         out: a prepared folder for what they write.
-        state: the folder in which they remember things, or None.
-        record: the log that the observer writes, or None.
+        outputs: what else the observer makes of it; where it keeps a state, the robots do too.
     """
 
-    def __init__(self, config: Config, out: Path, state: Path | None = None, record: Path | None = None) -> None:
+    def __init__(self, config: Config, out: Path, outputs: Outputs) -> None:
         self._config = config
         self._out = out
-        self._state = [] if state is None else ["--state", str(state.absolute())]
-        self._record = [] if record is None else ["--record", str(record.absolute())]
+        self._outputs = outputs
         self._news: queue.SimpleQueue[tuple[Member, dict[str, Any] | None]] = queue.SimpleQueue()
         self.members: dict[str, Member] = {}
         self._world: Member | None = None
@@ -72,23 +70,20 @@ class Fleet:
         for member in self._processes():
             member.end(deadline)
 
-    def start(self, *, simulated: bool, scans: bool = False, page: PageOptions | None = None) -> None:
+    def start(self, *, simulated: bool) -> None:
         """Start every process.
 
         Args:
             simulated: the world too, as the robots are not there without it.
-            scans: the observer writes what scans it saw to ``scans.npz``.
-            page: how the observer shows the map live, or None for not at all.
         """
         with _held_signals():  # or one that comes now would leave a process of which nobody knows
             file = str(self._out / "orion.toml")
             if simulated:
                 self._world = self._start("world", ["simulate", "-c", file, "--truth", str(self._out / "truth.npz")])
+            state = [] if self._outputs.state is None else ["--state", str(self._outputs.state.absolute())]
             for robot in self._config.roster:
-                self.members[robot] = self._start(robot, ["agent", "-c", file, "--robot", robot, *self._state])
-            options = ["--scans", str(self._out / "scans.npz")] if scans else []
-            options += ["--no-page"] if page is None else page.arguments()
-            observe = ["observe", "-c", file, "--out", str(self._out), *options, *self._record, *self._state]
+                self.members[robot] = self._start(robot, ["agent", "-c", file, "--robot", robot, *state])
+            observe = ["observe", "-c", file, "--out", str(self._out), *self._outputs.arguments()]
             self.members[OBSERVER] = self._start(OBSERVER, observe)
 
     def _start(self, name: str, arguments: list[str]) -> Member:

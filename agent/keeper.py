@@ -1,10 +1,10 @@
 """What a peer keeps on disk, and when.
 
-Laws kept here: what a robot adds to its own session, and what it sensed for it, is kept before it is published;
-others' sessions, which others hold too, once a second, to spare the card; nothing is written when there is no news.
-Nothing that was kept decides what a new session is called. Trouble with the file never stops the swarm: the peer says
-what is wrong, goes on in memory, and tries again where that may help. A damaged file is set aside, never written to,
-and what of it proved true begins a new one.
+Laws kept here: what a robot adds to its own session, and what it sensed for it, is kept before it is published, and
+so are operators' decisions; others' sessions, which others hold too, once a second, to spare the card; nothing is
+written when there is no news. Nothing that was kept decides what a new session is called. Trouble with the file never
+stops the swarm: the peer says what is wrong, goes on in memory, and tries again where that may help. A damaged file is
+set aside, never written to, and what of it proved true begins a new one.
 """
 
 from __future__ import annotations
@@ -91,6 +91,7 @@ class _Index:
         self.known: set[SessionId] = set()
         self.sessions: dict[SessionId, _Stored] = {}
         self.controls: set[Control] = set()
+        self.controls_check: int | None = None  # when they were last written
         self.runs: dict[SessionId, Run] = {}
         self.rows: dict[SessionId, int] = {}  # of each run's journal
 
@@ -216,7 +217,7 @@ class Keeper:
     # --- keeping
 
     def keep(self, peer: Peer, sessions: Sequence[OwnSession], now: float) -> None:
-        """Write what is due: all news of the session that we write, and once in a while all else.
+        """Write what is due: all news of the session that we write, all decisions, and once in a while all else.
 
         Args:
             peer: what it knows is kept.
@@ -226,8 +227,8 @@ class Keeper:
         if not self._usable or now < self._retry_at:
             return
         everything = now >= self._look_at
-        writer = peer.writer
-        if not everything and (writer is None or not self._index.lacks(writer.replica)):
+        written = peer.writer is not None and self._index.lacks(peer.writer.replica)
+        if not (everything or written or self._index.controls_check != peer.controls.check):
             return
         try:
             if self._file is None:
@@ -256,17 +257,18 @@ class Keeper:
         index = self._index
         replicas = [*peer.replicas.values()] if everything else [peer.writer.replica] if peer.writer else []
         news = [replica for replica in replicas if index.lacks(replica)]
+        controls = set(peer.controls) - index.controls if index.controls_check != peer.controls.check else set()
         if everything:
             known = peer.descriptors.keys() - peer.refused.keys() - index.known
-            controls = set(peer.controls) - index.controls
             gone = index.sessions.keys() - peer.replicas.keys()
         else:
             known = {replica.descriptor.session for replica in news} - index.known
-            controls, gone = set(), set()
+            gone = set()
         runs = {own.run: Run(own.run, own.descriptor.session, own.whole) for own in sessions}
         runs = {name: run for name, run in runs.items() if index.runs.get(name) != run}
         rows = {own.run: len(own.journal) for own in sessions if len(own.journal) > self._rows_of(own)}
         if not (news or known or controls or gone or runs or rows):
+            index.controls_check = peer.controls.check
             return
         with file.transaction():
             for session in known:
@@ -285,8 +287,9 @@ class Keeper:
         index.sessions |= {each.descriptor.session: _Stored.of(each) for each in news}
         for session in gone:
             del index.sessions[session]
-        if everything:
+        if controls:
             index.controls = set(peer.controls)
+        index.controls_check = peer.controls.check
         index.runs |= runs
         index.rows |= rows
 

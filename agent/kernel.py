@@ -6,6 +6,7 @@ machine compiles (``python -m agent.kernel``) and leaves the result in numba's c
 
 from __future__ import annotations
 
+import gc
 import importlib.util
 import subprocess
 import sys
@@ -45,6 +46,7 @@ class Kernel:
 
     def _load(self) -> None:
         self._raster = compiled()
+        gc.freeze()  # what came with it stays: to look through it for garbage would stop all for tens of ms
 
     def close(self) -> None:
         """Wait for a load under way: an interpreter must not end in the middle of it."""

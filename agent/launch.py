@@ -17,7 +17,7 @@ from agent.errors import UserError
 from agent.files import prepare_folder, write_whole
 from agent.fleet import Fleet
 from agent.links import check_ports
-from agent.page_options import PageOptions
+from agent.outputs import Outputs
 from agent.progress import progress
 from mapping.sensor import Sensor
 
@@ -111,17 +111,15 @@ def _absolute(world: str) -> str:
     return _in_a_file(Path(world)) if "/" in world or world.endswith((".yaml", ".yml")) else world
 
 
-def launch(
-    config: Config,
-    out: Path,
-    *,
-    simulated: bool,
-    as_json: bool,
-    state: Path | None = None,
-    page: PageOptions | None = None,
-    record: Path | None = None,
-) -> bool:
+def launch(config: Config, out: Path, outputs: Outputs, *, simulated: bool, as_json: bool) -> bool:
     """Run a swarm on this machine to its end, and say what came of it; gives whether all agree.
+
+    Args:
+        config: the swarm.
+        out: a folder for all that it writes.
+        outputs: what else its observer makes of it; with a state, robots keep one there too.
+        simulated: the world too, as the robots are not there without it.
+        as_json: the result as one JSON object.
 
     Raises:
         UserError: the folder cannot be written, a port is occupied, or a process could not start.
@@ -138,9 +136,9 @@ def launch(
     signal.signal(signal.SIGTERM, interrupt)
     began = time.monotonic()
     interrupted = False
-    with Fleet(config, folder, state, record) as fleet:
+    with Fleet(config, folder, outputs) as fleet:
         try:
-            fleet.start(simulated=simulated, page=page)
+            fleet.start(simulated=simulated)
             with progress() as bars:
                 settled = fleet.run(bars)
         except UserError:

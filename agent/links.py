@@ -12,17 +12,17 @@ from transport.bus import Bus, BusError
 from transport.roster import Endpoints, roster_endpoints
 
 
-def open_bus(config: Config, name: str, index: int | None) -> Bus:
+def open_bus(config: Config, name: str) -> Bus:
     """Join the swarm.
 
     Args:
         config: the swarm.
-        name: the robot's id, or what an observer calls itself.
-        index: the robot's place in the roster; None for an observer.
+        name: the robot's id, an observer's that has a table, or any other: then it listens on nothing.
 
     Raises:
         UserError: an endpoint cannot be used.
     """
+    index = config.listeners.index(name) if name in config.listeners else None
     if index is not None:
         _check_port(config, index)
     endpoints = roster_endpoints(config.hosts, config.base_port, index)
@@ -66,12 +66,13 @@ def bind_once(host: str, port: int) -> None:
 
 
 def _check_port(config: Config, index: int) -> None:
-    robot, host, port = config.roster[index], config.hosts[index], config.base_port + index
+    name, host, port = config.listeners[index], config.hosts[index], config.base_port + index
     try:
         bind_once(host, port)
     except (OSError, UnicodeError) as error:
         reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
-        raise UserError(f"robots.{robot}: {host}:{port}", reason[:1].lower() + reason[1:], _remedy(error)) from None
+        table = "robots" if name in config.robots else "observers"
+        raise UserError(f"{table}.{name}: {host}:{port}", reason[:1].lower() + reason[1:], _remedy(error)) from None
 
 
 def _remedy(error: Exception) -> str:
@@ -81,4 +82,4 @@ def _remedy(error: Exception) -> str:
         case PermissionError():
             return "give a base_port of 1024 or more"
         case _:
-            return "give the robot a host of this machine"
+            return "give it a host of this machine"

@@ -9,11 +9,31 @@ from typing import Annotated
 import typer
 
 from agent.errors import UserError
+from agent.page_options import OpenOption, PageHost, PagePort, page_options
 
-app = typer.Typer(no_args_is_help=True, help="Logs that --record wrote: describe, recover, export.")
+app = typer.Typer(no_args_is_help=True, help="Logs that --record wrote: show, describe, recover, export.")
 
 LogFile = Annotated[Path, typer.Argument(metavar="RUN.mcap", help="A log.")]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of text.")]
+
+
+@app.command(epilog="Example: orion log show run.mcap")
+def show(
+    log: LogFile,
+    port: PagePort = None,
+    host: PageHost = "127.0.0.1",
+    open_page: OpenOption = None,
+) -> None:
+    """Show a log in a browser as it was at any time, with a slider; no swarm is started. Runs until Ctrl-C."""
+    from agent.control import Control
+    from agent.log_player import LogPlayer, show_log
+    from agent.page import Page
+
+    player, control = LogPlayer(log), Control()
+    control.obey_signals()
+    with Page(player.config, page_options(port, host, open_page)) as page:
+        typer.echo(f"orion: {log} is shown at {page.url}; Ctrl-C ends it", err=True)
+        show_log(player, page, control)
 
 
 @app.command(epilog="Example: orion log info run.mcap")

@@ -36,6 +36,8 @@ from transport.bus import Bus, Event, Joined, Left, Message
 
 SOFTWARE = b"orion-swarm"
 _STATUS_PERIOD = 0.1
+_REST = 0.02
+_LAST_LOOKS = 50  # with such a rest between them: so long whoever ends stays for those who have not heard all of it
 _NO_SENSOR = Sensor((Beam(0, 0, 0),), 1)
 
 
@@ -111,6 +113,7 @@ class Node:
         self._around: set[str] = set()
         self._told: dict[str, Any] = {}
         self._told_at = -math.inf
+        self._in_exchange = False  # with one of the peers, by what we said last
         self.scans = 0
         self.heard_bytes: Counter[str] = Counter()
         self.own: OwnSession | None = None
@@ -149,15 +152,26 @@ class Node:
             while not control.stop:
                 if control.kernel:
                     self._kernel.load()
-                events = self._bus.receive(self.idle_time(time.monotonic()))
+                events = self._gathered(self.idle_time(time.monotonic()))
                 now = time.monotonic()
                 self.turn(now, events, go=control.go)
                 self._report(now, control)
                 watch(now)
             self._say_the_rest(time.monotonic())
+            self._stay_until_heard()
             self._keeper.keep_all(self.peer, self._sessions())
         finally:
             self._kernel.close()
+
+    def _gathered(self, seconds: float) -> Iterable[Event]:
+        """What comes in within that time: all of it together, for to wake up for each message would cost more than it.
+
+        But whoever asks, or is asked, waits for no more than the first.
+        """
+        if self._in_exchange:
+            return self._bus.receive(seconds)
+        time.sleep(seconds)
+        return self._bus.receive(0.0)
 
     def turn(self, now: float, events: Iterable[Event], *, go: bool = True) -> None:
         """One pass of the loop: take in what the bus brought, sense, and say what is to be said by now.
@@ -223,6 +237,7 @@ class Node:
     def _say(self, now: float) -> None:
         outgoing = self.peer.poll(now)
         self._keeper.keep(self.peer, self._sessions(), now)  # before anybody hears of it
+        self._in_exchange = any(to is not None for to, _, _ in outgoing)
         for to, topic, payload in outgoing:
             if to is None:
                 self._bus.publish(topic, payload)
@@ -246,6 +261,16 @@ class Node:
             self.peer.flush(now)
             self._say(now)
 
+    def _stay_until_heard(self) -> None:
+        """See somebody hold all that we have published, if anybody is there: of us nobody can ask for it any more."""
+        for _ in range(_LAST_LOOKS):
+            if self.peer.is_heard():
+                break
+            time.sleep(_REST)
+            now = time.monotonic()
+            self._hear(now, self._bus.receive())
+            self._say(now)
+
     def _unpublished(self) -> int:
         return sum(session.unpublished for session in self._sessions())
 
@@ -258,6 +283,7 @@ class Node:
         if now - self._told_at < _STATUS_PERIOD:
             return
         self._told_at = now
+        control.beat(now)
         status = self.status()
         if status != self._told:
             self._told = status
@@ -285,7 +311,7 @@ class Node:
             "bytes_sent": self._bus.counters["bytes_sent"],
             "spent": dict(self.peer.outbox.spent),
             "map_digest": self.peer.fusion.digest().hex(),
-            "dropped": dict(self.peer.dropped) | self._lost(),
+            "dropped": dict(self.peer.dropped) | self.lost(),
             **self._keeper.summary(),
             "contributions": [
                 {
@@ -300,7 +326,7 @@ class Node:
             ],
         }
 
-    def _lost(self) -> dict[str, int]:
-        """What the bus itself had to drop."""
+    def lost(self) -> dict[str, int]:
+        """What the bus itself had to drop, in messages by reason."""
         counters = dict(self._bus.counters)  # the bus's threads go on counting
         return {name: count for name, count in counters.items() if name.startswith("dropped_")}

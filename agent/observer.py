@@ -18,8 +18,8 @@ from agent.keeper import open_keeper
 from agent.links import open_bus
 from agent.map_files import save_map
 from agent.node import SOFTWARE, Node
+from agent.outputs import Outputs
 from agent.page import NoPage, Page
-from agent.page_options import PageOptions
 from agent.scan_record import ScanRecord, save_scans
 from mapping.grid import Grid
 from mapping.map_picture import Trail, robot_colour
@@ -53,21 +53,21 @@ class Outlet(Protocol):
         ...
 
 
-def open_outlets(record: Path | None, ros2: str | None, config: Config) -> list[Outlet]:
+def open_outlets(outputs: Outputs, config: Config) -> list[Outlet]:
     """Those that were asked for: only then their packages are needed.
 
     Raises:
         UserError: the log is there already or cannot be made, or the router's endpoint is none.
     """
     outlets: list[Outlet] = []
-    if record is not None:
+    if outputs.record is not None:
         from agent.recorder import Recorder
 
-        outlets.append(Recorder(record, config.toml().decode()))
-    if ros2 is not None:
+        outlets.append(Recorder(outputs.record, config.toml().decode()))
+    if outputs.ros2 is not None:
         from agent.ros2 import Ros2
 
-        outlets.append(Ros2(ros2))
+        outlets.append(Ros2(outputs.ros2))
     return outlets
 
 
@@ -94,59 +94,53 @@ class Trails:
 
 
 def run_observer(
-    config: Config,
-    out: Path | None,
-    control: Control,
-    scans: Path | None = None,
-    state: Path | None = None,
-    page: PageOptions | None = None,
-    record: Path | None = None,
-    ros2: str | None = None,
+    config: Config, out: Path | None, outputs: Outputs, control: Control, name: str | None = None
 ) -> dict[str, Any]:
     """Follow the swarm until told to stop, then write the map; gives the summary.
 
     Args:
         config: the swarm.
         out: a prepared folder for the map's files, or None for none.
+        outputs: what else it makes of it.
         control: who says when.
-        scans: an npz for the scans that came by (``agent.scan_record``), or None.
-        state: the folder where it remembers things (``agent.keeper``), or None.
-        page: how to show it live, or None for not at all.
-        record: a new file for the log (``agent.recorder``), or None.
-        ros2: the endpoint of ROS 2's router (``agent.ros2``), or None.
+        name: of its table in the configuration; None for one that has none, whom nobody finds.
 
     Raises:
-        UserError: there are no robots, an endpoint cannot be used, a file cannot be written, or the state is another
-            process's.
+        UserError: there are no robots, or no such observer, an endpoint cannot be used, a file cannot be written, or
+            the state is another process's.
     """
     if not config.robots:
         raise UserError(
             "robots", "none in the configuration, so there is nobody to observe", "give the swarm's TOML: -c"
         )
-    if scans is not None:
-        prepare_folder(scans.absolute().parent)
-    if record is not None:
-        prepare_folder(record.absolute().parent)
+    if name is not None and name not in config.observers:
+        known = ", ".join(config.observers) or "none"
+        what = f"no observer is called {name!r}; known: {known}"
+        raise UserError("--name", what, f"add a table [observers.{name}] to the file")
+    for file in (outputs.scans, outputs.record):
+        if file is not None:
+            prepare_folder(file.absolute().parent)
+    called = name or "observer"
     trails, kept = Trails(), ScanRecord()
-    outlets = open_outlets(record, ros2, config)
-    live = NoPage() if page is None else Page(config, page)
+    outlets = open_outlets(outputs, config)
+    live = NoPage() if outputs.page is None else Page(config, outputs.page)
 
     def listen(descriptor: Descriptor, update: Update) -> None:
         trails(descriptor, update)
         live(descriptor, update)
         for outlet in outlets:
             outlet(descriptor, update)
-        if scans is not None:
+        if outputs.scans is not None:
             kept(descriptor, update)
 
-    with live, open_keeper(config, "observer", state) as keeper, open_bus(config, "observer", None) as bus:
-        hello = Hello(Hello.OBSERVER, b"observer", SOFTWARE)
+    with live, open_keeper(config, called, outputs.state) as keeper, open_bus(config, called) as bus:
+        hello = Hello(Hello.OBSERVER, called.encode(), SOFTWARE)
         profile = PROFILES[config.radio]
         node = Node(bus, config.rules(), hello, now=time.monotonic(), profile=profile, listener=listen, keeper=keeper)
         control.tell("ready", name="the observer")
         if live.url:
             control.tell("page", url=live.url)
-        show = live.watch(node.peer, node.heard_bytes)
+        show = live.watch(node.peer, node.heard_bytes, node.lost)
         watches = [(outlet, outlet.watch(node.peer)) for outlet in outlets]
         said: set[str] = set()
 
@@ -162,8 +156,8 @@ def run_observer(
         grid = Grid.of(node.peer.fusion.tiles, config.rules().lattice)
         # before the bus is left: a mute peer may hold that up for seconds
         files = {} if out is None else write_maps(node.peer, grid, trails, config.roster, out)
-        if scans is not None:
-            save_scans(scans, kept.sessions())
+        if outputs.scans is not None:
+            save_scans(outputs.scans, kept.sessions())
         live.end()
         facts = {"tiles": len(node.peer.fusion.tiles), "known_m2": round(grid.known_m2, 6)}
         told = {key: value for outlet in outlets for key, value in outlet.close().items()}

@@ -302,7 +302,7 @@ def operate(config: Config, work: Callable[[Operator], dict[str, Any]]) -> dict[
     """
     if not config.robots:
         raise UserError("robots", "none in the configuration, so there is nobody to tell", "give the swarm's TOML: -c")
-    with open_bus(config, "operator", None) as bus:
+    with open_bus(config, "operator") as bus:
         return work(Operator.met(bus, config.rules()))
 
 

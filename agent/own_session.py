@@ -191,9 +191,10 @@ class OwnSession:
             self._open(start, self.descriptor.session)
         if not self.writer.waiting:
             self._handed = 0
-        rows = np.arange(min(self.unpublished, self._most_rows - self._handed)) + len(self._masks)
-        if not len(rows):
+        count = min(self.unpublished, self._most_rows - self._handed)
+        if count <= 0:
             return
+        rows = np.arange(count) + len(self._masks)
         scans = self.journal.scans(self._frame, rows)
         masks = self._masks_of(scans)
         self.writer.sense(without(scans, masks))

@@ -1,51 +1,52 @@
 """What the page is sent: of every tile its newest content, to each browser at the pace at which that one takes it.
 
-Laws kept here: a browser has a set of tiles that it lacks, never a queue, so one that stalls costs a set of keys and
-what it gets afterwards is the newest; a frame is bounded; whoever comes late is nothing special: he lacks everything.
+Laws kept here: a browser has sets of tiles that it lacks, never a queue, so one that stalls costs sets of keys and what
+it gets afterwards is the newest; a frame is bounded; whoever comes late is nothing special: he lacks everything. Where
+more of the global map is lacking than fits into one frame, all of it comes first, as coarse as fits: that is half as
+many cells as a screen has pixels.
 
 A frame is a msgpack map:
 
-* ``state``: all that is no tile: the swarm, its sessions, its peers (``Feed.state``); left out if it is as it was.
-* ``tiles``: a list of ``[layer, keys, cells]``. The global map's layer is ``""``, a session's its id in hex. Keys are
-  int32 (ty, tx); cells are int16, 1024 a tile, row-major, rows are y; evidence beyond +-32,767 is cut.
-* ``tracks``: a list of ``[layer, first, trail, hits]``: poses (int32 x_mm, y_mm, yaw_turn16) from the first-th on, and
-  the hits that are new (int32 x_mm, y_mm).
+* ``state``: all that is no tile: the swarm, its sessions, its peers (``agent.overview``), whether it has
+  ended; left out if it is as it was.
+* ``tiles``: a list of ``[layer, level, keys, cells]``. The global map's layer is ``""``, a session's its id in hex.
+  Keys are int32 (ty, tx); cells are int16, row-major, rows are y; evidence beyond +-32,767 is cut. A tile has 32 x 32
+  cells at level 0 and half as many in each direction at the next (``pooled``).
+* ``tracks``: a list of ``[layer, first, trail, first_hit, hits]``: poses (int32 x_mm, y_mm, yaw_turn16) from the
+  first-th on, in place of all that came after it; and hits (int32 x_mm, y_mm) from the first_hit-th on: where that is
+  not the next one, in place of all others.
 * ``history``: new rows of ``[seconds, known_m2, bytes_rate]``; times only grow.
-* ``ended``: true in the last frame of a swarm that has ended.
+* ``ended``: true in the last frame of all.
 
-Numbers in arrays are little-endian. Layers that ``state`` does not name any more are gone.
+Numbers in arrays are little-endian. Layers that ``state`` does not name any more are gone. A frame may be empty: it
+says that the server is there.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from itertools import islice
 from typing import Any
 
 import msgpack
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.page_snapshot import SessionView, Snapshot
+from agent.overview import Overview
+from agent.page_snapshot import HistoryRow, Snapshot
 from mapping.evidence import probability
-from mapping.lattice import TILE, Cells, TileKey
-from mapping.map_picture import Colour, robot_colour
-from mapping.tiles import Tiles, map_digest
+from mapping.lattice import TILE, TileKey
+from mapping.tiles import Tiles
 
 FUSED = ""
 """The layer of the global map."""
 
 FRAME_TILES = 512
-"""Tiles in one frame at most: 1 MiB."""
+"""Tiles in one frame at most, or as many cells of coarser ones: 1 MiB."""
 
-HISTORY_PERIOD = 0.5
-"""Seconds between two entries of the history, at first."""
-
-MOST_HISTORY = 1200
-"""Entries of the history at most; then every other one goes, and they come half as often."""
-
-_DIGEST_PERIOD = 1.0
-"""Seconds between two map digests: of a large map they cost something."""
+_COARSEST = 5
+"""The level at which a tile is one cell."""
 
 _ZERO = np.zeros((TILE, TILE), np.int32)
 _INT16 = np.iinfo(np.int16)
@@ -54,96 +55,99 @@ Place = tuple[str, TileKey]
 """A layer's tile."""
 
 
+def pooled(cells: NDArray[np.int16], level: int) -> NDArray[np.int16]:
+    """Tiles at a coarser level: of four cells each the most occupied, or if none is occupied the most free.
+
+    Args:
+        cells: shape (T, N, N).
+        level: how often N is halved.
+    """
+    for _ in range(level):
+        four = [cells[:, row::2, column::2] for row in (0, 1) for column in (0, 1)]
+        most = np.maximum(np.maximum(four[0], four[1]), np.maximum(four[2], four[3]))
+        least = np.minimum(np.minimum(four[0], four[1]), np.minimum(four[2], four[3]))
+        cells = np.where(most > 0, most, least)
+    return cells
+
+
 class Feed:
     """The newest snapshot, and how it differs from the one before.
 
     Args:
-        swarm: its name.
-        roster: robot ids, whose order decides their colours.
-        budget: payload bytes a second that the network can carry in all, or None if it does not matter.
+        overview: tells of each how the swarm stands.
 
     Attributes:
+        overview: as given.
         snapshot: the newest, or None before the first.
         ended: whether there will be no other.
-        state: see ``agent.page_feed``.
-        history: seconds since the first snapshot, square metres known then, bytes a second heard then.
+        state: how the swarm stands.
+        history: of a log the log's; else since the first snapshot.
     """
 
-    def __init__(self, swarm: str, roster: list[str], budget: float | None = None) -> None:
-        self._swarm = swarm
-        self._roster = roster
-        self._budget = budget
+    def __init__(self, overview: Overview) -> None:
+        self.overview = overview
         self._browsers: set[Browser] = set()
         self._layers: dict[str, Tiles] = {}
-        self._seen: dict[Place, NDArray[np.float64]] = {}
-        self._known: dict[TileKey, int] = {}
-        self._digest = ""
-        self._digest_at = -math.inf
-        self._digest_due = True
-        self._known_m2 = 0.0
+        self._seen: dict[str, dict[TileKey, NDArray[np.float64]]] = {}
         self._began: float | None = None
-        self._history_period = HISTORY_PERIOD
         self.snapshot: Snapshot | None = None
         self.ended = False
-        self.history: list[tuple[float, float, int]] = []
+        self.history: Sequence[HistoryRow] = []
         self.state: dict[str, Any] = {}
 
     def take(self, snapshot: Snapshot) -> None:
         """A newer snapshot: note what every browser lacks now."""
         self.snapshot = snapshot
-        layers = {FUSED: snapshot.fused} | {view.session.hex(): view.tiles for view in snapshot.sessions}
+        self.state = {**self.overview.of(snapshot, exact=self.ended), "ended": self.ended}
+        changed = {FUSED: self.overview.changed}
+        layers: dict[str, Tiles] = {FUSED: snapshot.fused}
+        for view in snapshot.sessions:
+            layer = view.session.hex()
+            layers[layer] = view.tiles
+            changed[layer] = self._session_changed(layer, view.tiles, snapshot)
         for gone in self._layers.keys() - layers.keys():
-            self._layers.pop(gone)
-            self._seen = {place: seen for place, seen in self._seen.items() if place[0] != gone}
-        changed: set[Place] = set()
-        for layer, tiles in layers.items():
-            before = self._layers.get(layer, {})
-            if tiles is before:
-                continue
-            for key, cells in tiles.items():
-                if before.get(key) is not cells:
-                    changed.add((layer, key))
-                    self._note(layer, key, before.get(key, _ZERO), cells, snapshot.now)
-            changed |= {(layer, key) for key in before.keys() - tiles.keys()}  # a copy that started over
+            self._seen.pop(gone, None)
+            for browser in self._browsers:
+                browser.lacks.pop(gone, None)
         self._layers = layers
         for browser in self._browsers:
-            browser.lacks |= changed
-        if not self._digest_due:
-            self._digest_due = any(layer == FUSED for layer, _ in changed)
-        if self._digest_due and (snapshot.now - self._digest_at >= _DIGEST_PERIOD or self.ended):
-            self._digest, self._digest_at, self._digest_due = map_digest(snapshot.fused).hex(), snapshot.now, False
-        self._known_m2 = round(sum(self._known.values()) * snapshot.rules.lattice.cell**2, 4)
-        self._remember(snapshot)
-        self.state = self._state(snapshot)
+            browser.note(changed)
+        if self._began is None:
+            self._began = snapshot.now
+        if snapshot.timeline is None:
+            seconds = snapshot.now - self._began
+            history = self.overview.history
+            if history.due(seconds) or self.ended:
+                history.note(seconds, snapshot.bytes_rate)
+            self.history = history.rows
+        else:
+            self.history = snapshot.timeline.history
 
     def end(self, snapshot: Snapshot) -> None:
         """The last snapshot."""
         self.ended = True
         self.take(snapshot)
 
-    def _note(self, layer: str, key: TileKey, before: Cells, after: Cells, now: float) -> None:
-        """Remember what of a tile is known, or when which of its cells changed."""
-        if layer == FUSED:
-            self._known[key] = int(np.count_nonzero(after))
-            return
-        seen = self._seen.setdefault((layer, key), np.full((TILE, TILE), -np.inf))
-        seen[before != after] = now
-
-    def _remember(self, snapshot: Snapshot) -> None:
-        """Add to the history, once in a while."""
-        if self._began is None:
-            self._began = snapshot.now
-        seconds = snapshot.now - self._began
-        if not self.history or self.ended or seconds - self.history[-1][0] >= self._history_period:
-            self.history.append((round(seconds, 1), self._known_m2, round(snapshot.bytes_rate)))
-        if len(self.history) > MOST_HISTORY:
-            self.history = self.history[::2]
-            self._history_period *= 2
+    def _session_changed(self, layer: str, tiles: Tiles, snapshot: Snapshot) -> set[TileKey]:
+        """The tiles of a session that are others than before; remembers when which of their cells changed."""
+        before = self._layers.get(layer, {})
+        if tiles is before:
+            return set()
+        changed = {key for key, cells in tiles.items() if before.get(key) is not cells}
+        if snapshot.timeline is None:
+            when = self._seen.setdefault(layer, {})
+            for key in changed:
+                seen = when.setdefault(key, np.full((TILE, TILE), -np.inf))
+                seen[before.get(key, _ZERO) != tiles[key]] = snapshot.now
+        return changed | (before.keys() - tiles.keys())  # a copy that started over, or a time before
 
     # --- what is known
 
     def cell(self, i: int, j: int) -> dict[str, Any]:
-        """Who saw a cell: the evidence of each session that has any, and how long ago that last changed here."""
+        """Who saw a cell: the evidence of each session that has any, and how long ago that last changed here.
+
+        Of a log it is not told when: that would depend on what was looked at before.
+        """
         key, row, column = TileKey(j // TILE, i // TILE), j % TILE, i % TILE
 
         def evidence(layer: str) -> int:
@@ -153,72 +157,26 @@ class Feed:
         for view in self.snapshot.sessions if self.snapshot is not None else ():
             layer = view.session.hex()
             units = evidence(layer)
-            seen = self._seen.get((layer, key))
-            if units == 0 or seen is None or self.snapshot is None:
+            if units == 0 or self.snapshot is None:
                 continue
+            seen = self._seen.get(layer, {}).get(key)
             witnesses.append({
                 "session": layer,
                 "robot": view.contribution.descriptor.robot,
                 "summed": view.contribution.summed,
                 "evidence": units,
-                "seconds": round(self.snapshot.now - float(seen[row, column]), 1),
+                "seconds": None if seen is None else round(self.snapshot.now - float(seen[row, column]), 1),
             })  # fmt: skip
         fused = evidence(FUSED)
         p = float(probability(np.array([fused], np.int32))[0])
         return {"i": i, "j": j, "evidence": fused, "probability": round(p, 6), "witnesses": witnesses}
-
-    def colour(self, robot: str) -> str:
-        """A robot's colour as #rrggbb."""
-        return "#{:02x}{:02x}{:02x}".format(*self.rgb(robot))
-
-    def rgb(self, robot: str) -> Colour:
-        """A robot's colour, the same as in the map's picture."""
-        return robot_colour(self._roster.index(robot) if robot in self._roster else len(self._roster))
-
-    def _state(self, snapshot: Snapshot) -> dict[str, Any]:
-        return {
-            "swarm": self._swarm,
-            "cell_mm": snapshot.rules.lattice.cell_mm,
-            "clear_hit": snapshot.rules.model.occupied,
-            "digest": self._digest,
-            "tiles": len(snapshot.fused),
-            "known_m2": self._known_m2,
-            "bytes_rate": round(snapshot.bytes_rate),
-            "budget": self._budget,
-            "ended": self.ended,
-            "peers": [{"name": peer.name, "robot": peer.robot, "same": peer.same} for peer in snapshot.peers],
-            "sessions": [self._session(view) for view in snapshot.sessions],
-        }
-
-    def _session(self, view: SessionView) -> dict[str, Any]:
-        standing = view.contribution
-        descriptor, pose = standing.descriptor, view.track.pose
-        return {
-            "session": view.session.hex(),
-            "robot": descriptor.robot,
-            "colour": self.colour(descriptor.robot),
-            "n": standing.n,
-            "known_n": view.known_n,
-            "summed": standing.summed,
-            "live": standing.live,
-            "reason": standing.reason,
-            "replaced": view.tiles == {} and standing.reason.startswith("replaced by"),
-            "evicted": standing.reason.startswith("evicted"),
-            "age": None if view.age is None else round(view.age),
-            "updates_rate": round(view.updates_rate, 2),
-            "bytes_rate": None if view.bytes_rate is None else round(view.bytes_rate),
-            "tiles": len(view.tiles),
-            "pose": None if pose is None else pose.tolist(),
-            "sensed_from": None if descriptor.start is None else list(descriptor.start),
-            "start": None if view.start is None else list(view.start),
-        }
 
     # --- browsers
 
     def join(self) -> Browser:
         """A browser that has come: it lacks everything."""
         browser = Browser(self)
-        browser.lacks = {(layer, key) for layer, tiles in self._layers.items() for key in tiles}
+        browser.note({layer: tiles.keys() for layer, tiles in self._layers.items()})
         self._browsers.add(browser)
         return browser
 
@@ -226,26 +184,36 @@ class Feed:
         """It has gone."""
         self._browsers.discard(browser)
 
-    def tile(self, place: Place) -> Cells:
-        """A tile's newest content."""
-        layer, key = place
-        return self._layers.get(layer, {}).get(key, _ZERO)
+    def cells(self, layer: str, keys: Collection[TileKey]) -> NDArray[np.int16]:
+        """The newest content of some tiles, shape (T, 32, 32)."""
+        tiles = self._layers.get(layer, {})
+        cells = np.stack([tiles.get(key, _ZERO) for key in keys])
+        return np.clip(cells, _INT16.min, _INT16.max, out=cells).astype(np.int16)
 
 
 class Browser:
     """What one browser has been sent.
 
     Attributes:
-        lacks: the tiles of which it has not the newest content.
+        lacks: by layer, the tiles of which it has not the newest content.
     """
 
     def __init__(self, feed: Feed) -> None:
         self._feed = feed
         self._state: dict[str, Any] = {}
-        self._poses: dict[str, int] = {}
+        self._poses: dict[str, tuple[int, int]] = {}
         self._hits: dict[str, int] = {}
         self._history = -1.0
-        self.lacks: set[Place] = set()
+        self._overview: set[TileKey] = set()
+        self.lacks: dict[str, set[TileKey]] = {}
+
+    def note(self, changed: Mapping[str, Collection[TileKey]]) -> None:
+        """Tiles have changed."""
+        for layer, keys in changed.items():
+            if keys:
+                self.lacks.setdefault(layer, set()).update(keys)
+        if len(keys := changed.get(FUSED, ())) > FRAME_TILES:
+            self._overview.update(keys)
 
     def frame(self) -> bytes | None:
         """The next frame, or None if there is no news; it counts as sent."""
@@ -256,29 +224,48 @@ class Browser:
             content["tracks"] = tracks
         if self._feed.state != self._state:
             content["state"] = self._state = self._feed.state
-        if history := [row for row in self._feed.history if row[0] > self._history]:
-            content["history"], self._history = history, history[-1][0]
+        if history := [row for row in self._feed.history if row.seconds > self._history]:
+            content["history"], self._history = history, history[-1].seconds
         if self._feed.ended and not self.lacks:
             content["ended"] = True
         return bytes(msgpack.packb(content)) if content else None
 
-    def _tiles(self) -> Iterator[tuple[str, bytes, bytes]]:
+    def _tiles(self) -> Iterator[tuple[str, int, bytes, bytes]]:
         """The next tiles that it lacks, the global map's first."""
-        batch = sorted(self.lacks)[:FRAME_TILES] if len(self.lacks) > FRAME_TILES else sorted(self.lacks)
-        self.lacks -= set(batch)
-        for layer in dict.fromkeys(layer for layer, _ in batch):
-            keys = [key for each, key in batch if each == layer]
-            cells = np.stack([self._feed.tile((layer, key)) for key in keys])
-            cut = np.clip(cells, _INT16.min, _INT16.max).astype("<i2")
-            yield layer, np.array(keys, "<i4").tobytes(), cut.tobytes()
+        if self._overview:
+            level = min(_COARSEST, math.ceil(math.log(len(self._overview) / FRAME_TILES, 4)))
+            yield self._packed(FUSED, level, list(self._overview))
+            self._overview.clear()
+            return
+        room = FRAME_TILES
+        for layer in sorted(self.lacks):
+            keys = list(islice(self.lacks[layer], room))
+            self.lacks[layer].difference_update(keys)
+            if not self.lacks[layer]:
+                del self.lacks[layer]
+            room -= len(keys)
+            yield self._packed(layer, 0, keys)
+            if room == 0:
+                break
 
-    def _tracks(self) -> Iterator[tuple[str, int, bytes, bytes]]:
+    def _packed(self, layer: str, level: int, keys: list[TileKey]) -> tuple[str, int, bytes, bytes]:
+        cells = pooled(self._feed.cells(layer, keys), level)
+        return layer, level, np.array(keys, "<i4").tobytes(), cells.astype("<i2", copy=False).tobytes()
+
+    def _tracks(self) -> Iterator[tuple[str, int, bytes, int, bytes]]:
         snapshot = self._feed.snapshot
-        for view in snapshot.sessions if snapshot is not None else ():
+        views = snapshot.sessions if snapshot is not None else ()
+        there = {view.session.hex() for view in views}
+        self._poses = {layer: sent for layer, sent in self._poses.items() if layer in there}
+        self._hits = {layer: sent for layer, sent in self._hits.items() if layer in there}
+        for view in views:
             layer, track = view.session.hex(), view.track
-            first, hits = self._poses.get(layer, 0), self._hits.get(layer, 0)
-            if first == len(track.trail) and hits == track.hits_in_all:
+            (stride_mm, poses), hits = self._poses.get(layer, (track.stride_mm, 0)), self._hits.get(layer, 0)
+            if (stride_mm, poses, hits) == (track.stride_mm, len(track.trail), track.hits_in_all):
                 continue
-            self._poses[layer], self._hits[layer] = len(track.trail), track.hits_in_all
-            new = track.hits[max(0, len(track.hits) - (track.hits_in_all - hits)) :]
-            yield layer, first, track.trail[first:].astype("<i4").tobytes(), new.astype("<i4").tobytes()
+            self._poses[layer], self._hits[layer] = (track.stride_mm, len(track.trail)), track.hits_in_all
+            first = min(poses, len(track.trail)) if stride_mm == track.stride_mm else 0
+            oldest = track.hits_in_all - len(track.hits)
+            first_hit = hits if oldest <= hits <= track.hits_in_all else oldest
+            trail, new = track.trail[first:].astype("<i4"), track.hits[first_hit - oldest :].astype("<i4")
+            yield layer, first, trail.tobytes(), first_hit, new.tobytes()

@@ -7,11 +7,24 @@ import os
 import socket
 import sys
 from dataclasses import dataclass
+from typing import Annotated
+
+import typer
 
 from agent.errors import UserError
 
 PORT = 8750
 """Where the page is if that is free."""
+
+PagePort = Annotated[
+    int | None, typer.Option("--port", metavar="P", min=0, max=65535, help="Where the page is (default 8750).")
+]
+PageHost = Annotated[
+    str, typer.Option("--host", metavar="H", help="Where the page listens; not only here: then it wants a token.")
+]
+OpenOption = Annotated[
+    bool | None, typer.Option("--open/--no-open", help="Start a browser; by default in a terminal on a screen.")
+]
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,25 +53,39 @@ class PageOptions:
             UserError: it cannot.
         """
         ports = [PORT, 0] if self.port is None else [self.port]
-        for port in ports:
+        return listen(self.host, ports, "--port", "give another one, or --no-page")
+
+
+def listen(host: str, ports: list[int], option: str, remedy: str) -> socket.socket:
+    """A socket that listens on the first port of some that is free.
+
+    Args:
+        host: a name or an address.
+        ports: 0 is any.
+        option: what of the command line is wrong if it cannot.
+        remedy: what to do then.
+
+    Raises:
+        UserError: it cannot.
+    """
+    for port in ports:
+        try:
+            family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+            listener = socket.socket(family, kind, protocol)
             try:
-                family, kind, protocol, _, address = socket.getaddrinfo(self.host, port, type=socket.SOCK_STREAM)[0]
-                listener = socket.socket(family, kind, protocol)
-                try:
-                    listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-                    listener.bind(address)
-                    listener.listen()
-                except OSError:
-                    listener.close()
-                    raise
-            except (OSError, UnicodeError) as error:  # UnicodeError: no name that a resolver is asked for
-                if port == ports[-1]:
-                    reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
-                    where = f"--port: {self.host}:{port}"
-                    raise UserError(where, reason[:1].lower() + reason[1:], "give another one, or --no-page") from None
-            else:
-                return listener
-        raise AssertionError
+                listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+                listener.bind(address)
+                listener.listen()
+            except OSError:
+                listener.close()
+                raise
+        except (OSError, UnicodeError) as error:  # UnicodeError: no name that a resolver is asked for
+            if port == ports[-1]:
+                reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
+                raise UserError(f"{option}: {host}:{port}", reason[:1].lower() + reason[1:], remedy) from None
+        else:
+            return listener
+    raise AssertionError
 
 
 def is_loopback(host: str) -> bool:
@@ -72,3 +99,8 @@ def is_loopback(host: str) -> bool:
 def can_open() -> bool:
     """Whether there is a screen; without one a browser for terminals might come up and take ours."""
     return sys.platform == "darwin" or any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY"))
+
+
+def page_options(port: int | None, host: str, open_page: bool | None) -> PageOptions:
+    """What was asked for, as the command line has it."""
+    return PageOptions(host, port, open=can_open() and (sys.stderr.isatty() if open_page is None else open_page))

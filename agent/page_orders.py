@@ -1,35 +1,27 @@
 """What a person decides on the page: parsed where it comes in, carried out by the loop that owns the state.
 
-Laws kept here: an order is checked whole before it is handed over; the loop carries it out between two turns, and the
-page hears what came of it.
+Laws kept here: an order is checked whole before it is handed over; the loop has it carried out between two turns, and
+the page hears what came of it.
 """
 
 from __future__ import annotations
 
 import queue
+import sys
+from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 from mapping.pose import FULL_TURN, QuantisedPose
 from swarm.limits import MAX_COORDINATE_MM
-from swarm.peer import Peer
 from swarm.session import ROBOT_ID, SessionId
 
 MOST_WAITING = 64
 """Orders that wait at most; a loop takes them fifty times a second."""
 
-
-class Order(Protocol):
-    """Something to decide."""
-
-    def carry_out(self, peer: Peer, now: float) -> None:
-        """Decide it.
-
-        Raises:
-            ValueError: it cannot be decided, in words.
-        """
-        ...
+MOST_SPEED = 1000.0
+"""How fast a log can be shown at most."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,12 +31,6 @@ class Evict:
     session: SessionId
     readmit: bool
 
-    def carry_out(self, peer: Peer, now: float) -> None:
-        """See ``Order``."""
-        if self.session not in peer.replicas:
-            raise ValueError(f"session {self.session.hex()} is not held here")
-        (peer.readmit if self.readmit else peer.evict)(self.session, now)
-
 
 @dataclass(frozen=True, slots=True)
 class Place:
@@ -53,11 +39,22 @@ class Place:
     robot: str
     pose: QuantisedPose
 
-    def carry_out(self, peer: Peer, now: float) -> None:
-        """See ``Order``."""
-        if not any(descriptor.robot == self.robot for descriptor in peer.descriptors.values()):
-            raise ValueError(f"robot {self.robot} is unknown")
-        peer.set_start_pose(self.robot, self.pose, now)
+
+@dataclass(frozen=True, slots=True)
+class Seek:
+    """Show a log as it was so many seconds after it began."""
+
+    seconds: float
+
+
+@dataclass(frozen=True, slots=True)
+class Play:
+    """Show a log as it went on, so many times as fast; 0 is to pause."""
+
+    speed: float
+
+
+Order = Evict | Place | Seek | Play
 
 
 class Orders:
@@ -79,15 +76,22 @@ class Orders:
             raise ValueError("too many orders at once") from None
         return done
 
-    def carry_out(self, peer: Peer, now: float) -> None:
-        """Carry out all that wait; called by the loop."""
+    def carry_out(self, obey: Callable[[Order, float], None], now: float) -> bool:
+        """Have all that wait carried out; called by the loop. Gives whether there were any.
+
+        Args:
+            obey: carries one out (``agent.page_source.Source``); a ValueError tells why it cannot be.
+            now: seconds.
+        """
+        any_were = False
         while True:
             try:
                 order, done = self._waiting.get_nowait()
             except queue.Empty:
-                return
+                return any_were
+            any_were = True
             try:
-                order.carry_out(peer, now)
+                obey(order, now)
             except ValueError as error:
                 done.set_exception(error)
             else:
@@ -98,8 +102,9 @@ def parse(kind: str, fields: Any) -> Order:
     """An order as JSON brings it.
 
     Args:
-        kind: evict, readmit or start-pose.
-        fields: ``{"session": hex}``; or ``{"robot": id, "x_mm": int, "y_mm": int, "yaw_turn16": int}``.
+        kind: evict, readmit, start-pose, seek or play.
+        fields: ``{"session": hex}``; or ``{"robot": id, "x_mm": int, "y_mm": int, "yaw_turn16": int}``; or
+            ``{"seconds": number}``; or ``{"speed": number}``.
 
     Raises:
         ValueError: it is none, in words.
@@ -129,4 +134,16 @@ def parse(kind: str, fields: Any) -> Order:
         if max(abs(x_mm), abs(y_mm)) > MAX_COORDINATE_MM:
             raise ValueError(f"x_mm, y_mm: expected at most {MAX_COORDINATE_MM} mm from the origin")
         return Place(robot, QuantisedPose(x_mm, y_mm, yaw_turn16 % FULL_TURN))
+    if kind == "seek":
+        return Seek(_number(fields, "seconds", sys.float_info.max))
+    if kind == "play":
+        return Play(_number(fields, "speed", MOST_SPEED))
     raise ValueError(f"{kind!r} is no order")
+
+
+def _number(fields: dict[str, Any], name: str, most: float) -> float:
+    """The only field, which is no less than 0."""
+    value: Any = fields.get(name)
+    if fields.keys() != {name} or type(value) not in {int, float} or not 0 <= value <= most:
+        raise ValueError(f"expected {name}: a number from 0 to {most:g}")
+    return float(value)

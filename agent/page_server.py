@@ -9,6 +9,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import io
+import time
 import zipfile
 from collections.abc import AsyncIterator, Callable
 from pathlib import Path
@@ -22,11 +23,12 @@ from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from agent.page_feed import Browser, Feed
+from agent.page_feed import FUSED, Browser, Feed
 from agent.page_guard import Guard
 from agent.page_mailbox import Mailbox
 from agent.page_orders import Orders, parse
 from agent.page_snapshot import Snapshot
+from agent.probe_routes import probe_routes
 from mapping.grid import Grid
 from mapping.map_archive import encode_npz
 from mapping.map_picture import Trail, trails_png
@@ -37,6 +39,13 @@ BUNDLE = Path(__file__).with_name("page_bundle")
 
 _PERIOD = 0.1
 _LOOK = 0.05
+_BREATH = 0.02
+"""Seconds from one frame with robots' own tiles to the next: the browser is busy drawing the map."""
+
+_SILENCE = 2.0
+"""Seconds without news after which a browser is told that we are there."""
+
+_EMPTY = b"\x80"  # a msgpack map without entries
 _PATIENCE = 5.0
 _MAX_BODY = 4096
 
@@ -62,6 +71,7 @@ def build_app(
     """
     pages = _Pages(feed, mailbox, orders)
     routes: list[Any] = [
+        *probe_routes(mailbox, lambda: feed.state),
         Route("/api/state", pages.state),
         Route("/api/cell", pages.cell),
         Route("/api/map.{kind}", pages.map_file),
@@ -122,15 +132,20 @@ class _Pages:
             self._open -= 1
 
     async def _send(self, socket: WebSocket, browser: Browser) -> None:
-        """A frame every 100 ms, or as fast as the browser takes them while it lacks tiles."""
+        """A frame every 100 ms; while it lacks tiles as fast as it takes them; in silence an empty one now and then."""
+        said_at = 0.0
         while True:
-            if (frame := browser.frame()) is not None:
+            frame = browser.frame()
+            if frame is None and time.monotonic() - said_at > _SILENCE:
+                frame = _EMPTY
+            if frame is not None:
                 await socket.send_bytes(frame)  # waits for a browser that takes nothing
+                said_at = time.monotonic()
                 self._mailbox.visited.set()
             if self._feed.ended and not browser.lacks:
-                await socket.close(1000, "the swarm has ended")
+                await socket.close(1000, "the observer has ended")
                 return
-            await asyncio.sleep(0 if browser.lacks else _PERIOD)
+            await asyncio.sleep(0 if FUSED in browser.lacks else _BREATH if browser.lacks else _PERIOD)
 
     # --- what is known
 
@@ -166,7 +181,7 @@ class _Pages:
         if int(request.headers.get("content-length", _MAX_BODY + 1)) > _MAX_BODY:
             return _complaint("too long", 413)
         if self._feed.ended:
-            return _complaint("the swarm has ended", 409)
+            return _complaint("the observer has ended", 409)
         try:
             done = self._orders.give(parse(request.path_params["order"], await request.json()))
             await asyncio.wait_for(asyncio.wrap_future(done), _PATIENCE)
@@ -198,7 +213,7 @@ def _png(snapshot: Snapshot, feed: Feed) -> bytes:
         standing = view.contribution
         if standing.summed:
             robot = standing.descriptor.robot
-            trails.append(Trail(robot, feed.rgb(robot), view.track.trail[:, :2] / 1000))
+            trails.append(Trail(robot, feed.overview.rgb(robot), view.track.trail[:, :2] / 1000))
     return trails_png(_grid(snapshot), trails)
 
 

@@ -7,7 +7,7 @@ loop a copy of each dictionary that has changed, and no cell.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -23,6 +23,9 @@ from swarm.state import State
 
 _RATE_WINDOW = 5.0
 """Seconds over which rates are taken."""
+
+Lost = Callable[[], dict[str, int]]
+"""What the bus had to drop, in messages by reason; called by the peer's loop."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,6 +58,41 @@ class SessionView:
         return self.contribution.descriptor.session
 
 
+class HistoryRow(NamedTuple):
+    """What was so at one time.
+
+    Attributes:
+        seconds: since the beginning.
+        known_m2: area that was known, in square metres.
+        bytes_rate: payload bytes a second.
+    """
+
+    seconds: float
+    known_m2: float
+    bytes_rate: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Timeline:
+    """Where in a log one is.
+
+    Attributes:
+        seconds: since it began.
+        duration: of as much of it as has been read.
+        whole: whether all has been read.
+        torn: why it ends early, in words; empty if it does not, as far as is known.
+        speed: times real time; 0 if it stands still.
+        history: of the whole log, as far as it has been read.
+    """
+
+    seconds: float
+    duration: float
+    whole: bool
+    torn: str
+    speed: float
+    history: Sequence[HistoryRow]
+
+
 class PeerView(NamedTuple):
     """Another peer that is there.
 
@@ -62,11 +100,27 @@ class PeerView(NamedTuple):
         name: as it calls itself.
         robot: whether it is one.
         same: whether it last said that it holds what we hold; None if it has not said anything.
+        bytes_rate: payload bytes a second that came from it.
     """
 
     name: str
     robot: bool
     same: bool | None
+    bytes_rate: int
+
+
+class Traffic(NamedTuple):
+    """What a peer itself did so far.
+
+    Attributes:
+        dropped: messages that it, or its bus, had to drop, by reason.
+        sent: payload bytes given to the bus, by topic.
+        spent: the same by class (``swarm.outbox.Lane``).
+    """
+
+    dropped: dict[str, int]
+    sent: dict[str, int]
+    spent: dict[str, int]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -80,6 +134,8 @@ class Snapshot:
         sessions: in order of robot and session.
         peers: who else is there, by name.
         bytes_rate: payload bytes a second that came in.
+        traffic: what we sent and dropped.
+        timeline: of a log; None of a peer at work.
     """
 
     now: float
@@ -88,6 +144,8 @@ class Snapshot:
     sessions: tuple[SessionView, ...]
     peers: tuple[PeerView, ...]
     bytes_rate: float
+    traffic: Traffic
+    timeline: Timeline | None = None
 
 
 class Rate:
@@ -98,6 +156,8 @@ class Rate:
 
     def __call__(self, now: float, count: int) -> float:
         """The rate a second with the count as it is now."""
+        if self._samples and self._samples[-1][0] == now:
+            self._samples.pop()
         self._samples.append((now, count))
         while len(self._samples) > 2 and self._samples[1][0] <= now - _RATE_WINDOW:
             self._samples.popleft()
@@ -112,12 +172,14 @@ class Snapshots:
         peer: of whom.
         tracks: what its updates told.
         heard_bytes: payload bytes heard from each other peer.
+        lost: what the bus had to drop.
     """
 
-    def __init__(self, peer: Peer, tracks: Tracks, heard_bytes: Mapping[str, int]) -> None:
+    def __init__(self, peer: Peer, tracks: Tracks, heard_bytes: Mapping[str, int], lost: Lost = dict) -> None:
         self._peer = peer
         self._tracks = tracks
         self._heard = heard_bytes
+        self._lost = lost
         self._tiles: dict[SessionId, tuple[State, int, dict[TileKey, Cells]]] = {}
         self._rates: dict[object, Rate] = {}
 
@@ -126,21 +188,23 @@ class Snapshots:
         peer = self._peer
         self._tracks.keep_only(set(peer.replicas))
         self._tiles = {session: held for session, held in self._tiles.items() if session in peer.replicas}
-        writers = {hello.session: name for name, hello in peer.peers.items() if hello.session}
         known = peer.descriptors.keys() | set(self._heard) | {None}
         self._rates = {key: rate for key, rate in self._rates.items() if key in known}
+        rates = {name: self._rate(name, now, self._heard.get(name, 0)) for name in peer.peers}
+        writers = {hello.session: rates[name] for name, hello in peer.peers.items() if hello.session}
         return Snapshot(
             now=now,
             rules=peer.rules,
             fused=peer.fusion.tiles.copy(),
             sessions=tuple(self._session(each, writers, now) for each in contributions(peer, now)),
-            peers=tuple(self._peers()),
+            peers=tuple(self._peers(rates)),
             bytes_rate=self._rate(None, now, sum(self._heard.values())),
+            traffic=Traffic({**peer.dropped, **self._lost()}, dict(peer.sent_bytes), dict(peer.outbox.spent)),
         )
 
-    def _session(self, contribution: Contribution, writers: Mapping[bytes, str], now: float) -> SessionView:
+    def _session(self, contribution: Contribution, writers: Mapping[bytes, float], now: float) -> SessionView:
         peer, descriptor = self._peer, contribution.descriptor
-        session, writer = descriptor.session, writers.get(descriptor.session)
+        session = descriptor.session
         heard_at = peer.heard_at.get(session)
         decided = peer.controls.start_pose(descriptor.robot)
         return SessionView(
@@ -150,7 +214,7 @@ class Snapshots:
             tiles=self._held(session),
             track=self._tracks.of(session),
             updates_rate=self._rate(session, now, contribution.n),
-            bytes_rate=None if writer is None else self._rate(writer, now, self._heard.get(writer, 0)),
+            bytes_rate=writers.get(session),
             start=descriptor.start if decided is None else decided.pose,
         )
 
@@ -167,12 +231,12 @@ class Snapshots:
         self._tiles[session] = state, state.n, tiles
         return tiles
 
-    def _peers(self) -> list[PeerView]:
+    def _peers(self, rates: Mapping[str, float]) -> list[PeerView]:
         views = []
         for peer, hello in self._peer.peers.items():
             told = self._peer.told.get(peer)
             same = None if told is None else self._is_ours(told)
-            views.append(PeerView(hello.name.decode("latin-1"), hello.role == Hello.ROBOT, same))
+            views.append(PeerView(hello.name.decode("latin-1"), hello.role == Hello.ROBOT, same, round(rates[peer])))
         return sorted(views, key=lambda view: view.name)
 
     def _is_ours(self, told: Digest) -> bool:

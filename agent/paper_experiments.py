@@ -21,6 +21,7 @@ from agent.fleet import Fleet
 from agent.launch import demo_config
 from agent.links import check_ports
 from agent.map_files import load_map
+from agent.outputs import Outputs
 from agent.progress import progress
 from agent.scan_record import Recorded, load_scans
 from mapping.grid import Grid
@@ -116,8 +117,8 @@ def conduct(experiment: Experiment, base: Config, folder: Path, seed: int) -> Ru
     config = demo_config(resolve(table), world=experiment.world, robots=None, speed="max", seed=seed)
     check_ports(config)
     write_whole(folder / "orion.toml", config.toml())
-    with Fleet(config, folder) as fleet:
-        fleet.start(simulated=True, scans=True)
+    with Fleet(config, folder, Outputs(scans=folder / "scans.npz")) as fleet:
+        fleet.start(simulated=True)
         with progress() as bars:
             settled = fleet.run(bars)
         fleet.finish()

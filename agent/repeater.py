@@ -21,6 +21,7 @@ from agent.keeper import open_keeper
 from agent.links import open_bus
 from agent.log_reader import LogReader
 from agent.node import SOFTWARE, NoBody, Node
+from agent.probes import NoProbes, Probes
 from agent.readings import Readings
 from agent.ros_messages import published_scans
 from swarm.messages import Hello, Session, Update
@@ -109,7 +110,7 @@ def log_config(base: Config, path: Path, speed: float | str) -> Config:
 
 
 def run_repeater(
-    config: Config, robot: str, settings: LogBody, control: Orders, state: Path | None = None
+    config: Config, robot: str, settings: LogBody, control: Orders, state: Path | None, probes: Probes | NoProbes
 ) -> dict[str, Any]:
     """Be a robot of a log until told to stop; gives its summary.
 
@@ -123,7 +124,7 @@ def run_repeater(
     body = Repeater(Path(settings.path), robot, say)
     with (
         open_keeper(config, robot, state) as keeper,
-        open_bus(config, robot, config.roster.index(robot)) as bus,
+        open_bus(config, robot) as bus,
     ):
         node = Node(
             bus,
@@ -136,7 +137,7 @@ def run_repeater(
             keeper=keeper,
         )
         control.tell("ready", name=robot)
-        node.run(control)
+        node.run(control, probes.watch(node.peer, node.heard_bytes, node.lost))
         held = [replica for replica in node.peer.replicas.values() if replica.descriptor.robot == robot]
         return {
             "id": robot,

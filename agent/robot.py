@@ -19,6 +19,7 @@ from agent.keeper import open_keeper
 from agent.links import open_bus
 from agent.node import SOFTWARE, Node
 from agent.own_session import OwnSession
+from agent.probes import NO_PROBES, NoProbes, Probes
 from agent.team_mates import NoMates, TeamMates
 from swarm.messages import Hello
 from swarm.radio import PROFILES
@@ -42,7 +43,9 @@ class Senses(NamedTuple):
     speed: float
 
 
-def run_robot(config: Config, robot: str, control: Control, state: Path | None = None) -> dict[str, Any]:
+def run_robot(
+    config: Config, robot: str, control: Control, state: Path | None = None, probes: Probes | NoProbes = NO_PROBES
+) -> dict[str, Any]:
     """Be that robot until told to stop; gives its summary.
 
     Args:
@@ -50,6 +53,7 @@ def run_robot(config: Config, robot: str, control: Control, state: Path | None =
         robot: its id.
         control: who says when.
         state: the folder where it remembers things (``agent.keeper``), or None.
+        probes: who asks how it is.
 
     Raises:
         UserError: the robot is not in the roster, its recording is bad, nobody answers at its serial port, or its
@@ -62,7 +66,7 @@ def run_robot(config: Config, robot: str, control: Control, state: Path | None =
     if isinstance(settings.body, LogBody):
         from agent.repeater import run_repeater
 
-        return run_repeater(config, robot, settings.body, control, state)
+        return run_repeater(config, robot, settings.body, control, state, probes)
     start = settings.start.quantised() if settings.start is not None else None
     try:
         senses = _senses(config, robot, lambda: own, control)
@@ -74,8 +78,7 @@ def run_robot(config: Config, robot: str, control: Control, state: Path | None =
             config.rules().lattice.check_range(senses.body.sensor.max_range_mm)
         except ValueError as error:
             raise UserError(f"robots.{robot}.body", str(error), "give a shorter max_range") from None
-        index = config.roster.index(robot)
-        with open_keeper(config, robot, state) as keeper, open_bus(config, robot, index) as bus:
+        with open_keeper(config, robot, state) as keeper, open_bus(config, robot) as bus:
             node = Node(
                 bus,
                 config.rules(),
@@ -90,7 +93,7 @@ def run_robot(config: Config, robot: str, control: Control, state: Path | None =
             own = node.open_session(robot, start, settings.publish or config.publish, senses.mates)
             control.tell("ready", name=robot)
             try:
-                node.run(control)
+                node.run(control, probes.watch(node.peer, node.heard_bytes, node.lost))
             except MapFullError as error:
                 raise UserError(f"robots.{robot}", str(error), "use larger cells") from None
             except JournalFullError as error:

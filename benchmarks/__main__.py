@@ -21,6 +21,9 @@ NAMES = {
     "late": "a peer that comes late and fetches everything over Zenoh",
     "wire": "bytes that a run sends, against full grids and single laser scans",
     "rules": "ways to merge maps, on the same noisy data",
+    "page": "the observer's page with a map of 6,400 tiles, in Chromium",
+    "page_memory": "the page's server for a minute: 20 robots, a browser, and one that never reads",
+    "log_jumps": "a recorded run on the page: reading it, jumping in it",
     "many": "peers in one process under fake time",
 }
 

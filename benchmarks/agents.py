@@ -1,7 +1,9 @@
 """Real processes over Zenoh on this machine: 2, 5 and 10 agents that scan at 10 Hz.
 
 Each process is the loop that ships (``agent.node.Node``) with a body that makes a five-beam scan each 100 ms. A scan is
-stamped with the clock of the machine: every other process can tell how old it is when it is in its fused map.
+stamped with the clock of the machine: every other process can tell how old it is when it is in its fused map. All begin
+at one word, so that all scans of a tenth of a second are made at once, the worst case. What is counted is a window of
+steady work, every scan of every robot at every other; how many of them there should be, their makers say.
 """
 
 from __future__ import annotations
@@ -9,11 +11,13 @@ from __future__ import annotations
 import argparse
 import json
 import math
-import resource
+import re
 import subprocess
 import sys
 import threading
 import time
+from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -37,7 +41,11 @@ from transport.zenoh_bus import ZenohBus
 
 SIZES = (2, 5, 10)
 BASE_PORT = 22300
+_SETTLING = 5.0
 _SECONDS = 20.0
+_GRACE = 2.0
+"""Seconds of work before the window that counts, of the window, and after it for what is still on its way."""
+
 _PATIENCE = 60.0
 _HZ = 10
 _NONE = Readings.empty(len(ORION.beams))
@@ -75,25 +83,54 @@ class Body:
         """Nothing moves."""
 
 
-class Ages:
-    """How old each scan of others is when it is in the fused map, in seconds."""
+class Heard:
+    """When which scan came into the fused map: what is needed to say how old it was, looked at when all is over."""
 
     def __init__(self, robot: str) -> None:
-        self.seconds: list[float] = []
         self._robot = robot
+        self._updates: list[tuple[bool, float, bytes]] = []
 
     def __call__(self, descriptor: Descriptor, update: Update) -> None:
         """An update was applied."""
-        now = time.monotonic()
-        if descriptor.robot != self._robot:
-            stamps = decode_scans(update.payload, len(ORION.beams), ORION.max_range_mm).stamps_ms
-            self.seconds += (now - stamps / 1e3).tolist()
+        self._updates.append((descriptor.robot == self._robot, time.monotonic(), update.payload))
+
+    def scans(self, *, own: bool) -> list[tuple[float, float]]:
+        """Of each scan, when it was made and how old it was, in seconds."""
+        return [
+            (stamp / 1e3, at - stamp / 1e3)
+            for is_own, at, payload in self._updates
+            if is_own is own
+            for stamp in decode_scans(payload, len(ORION.beams), ORION.max_range_mm).stamps_ms.tolist()
+        ]
+
+
+class Computing:
+    """The share of a core that this process uses once it has settled, its start not included."""
+
+    def __init__(self, control: Supervised) -> None:
+        self._control = control
+        self._settled_at = math.inf
+        self._begin: tuple[float, float] | None = None
+
+    def __call__(self, now: float) -> None:
+        """A turn of the loop."""
+        if self._control.go and self._settled_at == math.inf:
+            self._settled_at = now + _SETTLING
+        if now >= self._settled_at and self._begin is None:
+            self._begin = now, time.process_time()
+
+    def share(self) -> float:
+        """Of a core, until now."""
+        if self._begin is None:
+            raise RuntimeError("told to end before the work had settled")
+        at, computed = self._begin
+        return (time.process_time() - computed) / (time.monotonic() - at)
 
 
 def work(number: int, port: int) -> None:
     """Be one agent until told to end; then print what was measured."""
     robot = f"r{number}"
-    ages = Ages(robot)
+    heard = Heard(robot)
     rules = Rules(Lattice(20), EvidenceModel())
     compiled()
     listen = [f"tcp/127.0.0.1:{port + number}"]
@@ -105,22 +142,36 @@ def work(number: int, port: int) -> None:
             Hello(Hello.ROBOT, robot.encode(), b"benchmark"),
             now=time.monotonic(),
             body=Body(number),
-            listener=ages,
+            listener=heard,
         )
         node.open_session(robot, QuantisedPose(0, 0, 0), "auto", NoMates())
-        begin, computed = time.monotonic(), time.process_time()
-        node.run(Supervised())
-        share = (time.process_time() - computed) / (time.monotonic() - begin)
-    result = {"ages": ages.seconds, "share": share, "rss": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss}
+        control = Supervised()
+        computing = Computing(control)
+        node.run(control, watch=computing)
+        share = computing.share()
+    result = {
+        "made": [stamp for stamp, _ in heard.scans(own=True)],
+        "heard": heard.scans(own=False),
+        "share": share,
+        "rss": peak_memory(),
+    }
     sys.stdout.write(json.dumps({"event": "result", **result}) + "\n")
+
+
+def peak_memory() -> int:
+    """The most memory that this process has had resident, in kB; ``getrusage`` would count its parent's too."""
+    (peak,) = re.findall(r"^VmHWM:\s+(\d+) kB$", Path("/proc/self/status").read_text(), re.MULTILINE)
+    return int(peak)
 
 
 def measure() -> list[Row]:
     """Latency beyond the update period, computing and memory an agent."""
     rows = []
     for group, size in enumerate(SIZES):
-        results = _run(size, BASE_PORT + 20 * group)
-        ages = np.array([age for result in results for age in result["ages"]]) * 1e3
+        window, results = _run(size, BASE_PORT + 20 * group)
+        heard = [scan for result in results for scan in result["heard"]]
+        ages = np.array([age for made, age in heard if window(made)]) * 1e3
+        due = (size - 1) * sum(window(made) for result in results for made in result["made"])
         beyond = ages - LAN.update_period * 1e3
         shares = [result["share"] * 100 for result in results]
         name = f"{size} agents"
@@ -129,7 +180,7 @@ def measure() -> list[Row]:
                 f"{name}: scan to a peer's fused map, p50",
                 float(np.percentile(ages, 50)),
                 "ms",
-                note=f"{len(ages)} scans",
+                note=f"{len(ages)} of {due} scans",
             ),
             Row(f"{name}: the same, p99", float(np.percentile(ages, 99)), "ms"),
             Row(f"{name}: p99 beyond the update period", float(np.percentile(beyond, 99)), "ms"),
@@ -164,7 +215,8 @@ class _Agent:
         self.process.stdin.flush()
 
 
-def _run(size: int, port: int) -> list[dict[str, Any]]:
+def _run(size: int, port: int) -> tuple[Callable[[float], bool], list[dict[str, Any]]]:
+    """What the agents measured, and whether a time lies in the window that counts."""
     agents = [_Agent(number, port) for number in range(size)]
     try:
         deadline = time.monotonic() + _PATIENCE
@@ -175,7 +227,8 @@ def _run(size: int, port: int) -> list[dict[str, Any]]:
         for word in ("kernel", "go"):
             for agent in agents:
                 agent.order(word)
-        time.sleep(_SECONDS)
+        begin = time.monotonic() + _SETTLING
+        time.sleep(_SETTLING + _SECONDS + _GRACE)
         for agent in agents:
             agent.order("finish")
         for agent in agents:
@@ -187,7 +240,7 @@ def _run(size: int, port: int) -> list[dict[str, Any]]:
     results = [agent.result for agent in agents if agent.result is not None]
     if len(results) < size:
         raise RuntimeError(f"{size - len(results)} of {size} agents said no result")
-    return results
+    return lambda made: begin <= made < begin + _SECONDS, results
 
 
 if __name__ == "__main__":

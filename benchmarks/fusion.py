@@ -18,7 +18,7 @@ from swarm.messages import Hello, Mark, Session, encode
 from swarm.peer import Peer
 from swarm.replica import CHECKPOINT, Replica
 from swarm.session import Descriptor, Rules
-from swarm.state import State, tile_hash
+from swarm.state import State, state_check, tile_hash
 from swarm.writer import Writer
 
 RULES = Rules(Lattice(20), EvidenceModel())
@@ -100,4 +100,4 @@ def _state(tiles: int) -> State:
         TileKey(1000 + k // 100, k % 100): frozen(np.full((TILE, TILE), 7, np.int32)) for k in range(tiles)
     }
     marks = {key: Mark(CHECKPOINT, tile_hash(key, each)) for key, each in cells.items()}
-    return State(CHECKPOINT, cells, marks, sum(mark.hash for mark in marks.values()) % 2**64)
+    return State(CHECKPOINT, cells, marks, state_check(CHECKPOINT, marks))

@@ -1,12 +1,15 @@
-"""A late joiner: another process holds twenty robots' maps; how long until a new peer has them all, over Zenoh."""
+"""A late joiner: how long until a new peer has twenty robots' maps, over Zenoh.
+
+From one process that holds them all, whose writers are gone; and from twenty, each with a map of its own.
+"""
 
 from __future__ import annotations
 
-import argparse
 import statistics
 import subprocess
 import sys
 import time
+from collections.abc import Sequence
 
 from agent.control import Supervised
 from agent.node import Node
@@ -20,7 +23,7 @@ from mapping.pose import QuantisedPose
 from swarm.messages import Hello, Mark, Session, encode
 from swarm.replica import CHECKPOINT
 from swarm.session import Descriptor
-from swarm.state import State, tile_hash
+from swarm.state import State, state_check, tile_hash
 from transport.bus import Joined, Message
 from transport.zenoh_bus import ZenohBus
 
@@ -30,42 +33,56 @@ _REPEATS = 5
 _PATIENCE = 120.0
 
 
-def hold(port: int) -> None:
-    """Be the peer that has everything, until told to end."""
+def hold(port: int, first: int, last: int) -> None:
+    """Be a peer that has the maps of some of the robots, until told to end."""
     log = logs()[0]
     tiles = list(integrated({}, log.scans, log.sensor, EvidenceModel(), Lattice(50)).items())[:TILES]
-    with ZenohBus("late", "holder", listen=[f"tcp/127.0.0.1:{port}"], connect=[]) as bus:
+    with ZenohBus("late", f"holder{first}", listen=[f"tcp/127.0.0.1:{port}"], connect=[]) as bus:
         node = Node(bus, RULES, Hello(Hello.OBSERVER, b"holder", b"benchmark"), now=time.monotonic())
-        for robot in range(ROBOTS):
+        for robot in range(first, last):
             descriptor = Descriptor(f"r{robot}", robot.to_bytes(8, "big"), RULES, ORION, QuantisedPose(0, 0, 0))
             node.peer.receive("r", encode(Session(descriptor.encode())), 0.0)
             cells = {TileKey(key.ty + robot, key.tx): each for key, each in tiles}
             marks = {key: Mark(CHECKPOINT, tile_hash(key, each)) for key, each in cells.items()}
-            check = sum(mark.hash for mark in marks.values()) % 2**64
-            change = node.peer.replicas[descriptor.session].install(State(CHECKPOINT, cells, marks, check))
-            node.peer.fusion.add(change)
+            state = State(CHECKPOINT, cells, marks, state_check(CHECKPOINT, marks))
+            node.peer.fusion.add(node.peer.replicas[descriptor.session].install(state))
         node.run(Supervised())
 
 
 def measure() -> list[Row]:
     """Seconds from opening the bus until all is in the fused map."""
-    command = [sys.executable, "-m", "benchmarks.late", "--hold", str(_PORT)]
-    holder = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL)
+    return [
+        *_measure(f"{ROBOTS} robots x {TILES} tiles, from one peer, no writer alive", 1),
+        *_measure(f"{ROBOTS} robots x {TILES} tiles, from {ROBOTS} peers", ROBOTS),
+    ]
+
+
+def _measure(name: str, holders: int) -> list[Row]:
+    share = ROBOTS // holders
+    ports = [_PORT + k for k in range(holders)]
+    commands = [
+        [sys.executable, "-m", "benchmarks.late", *map(str, (port, k * share, (k + 1) * share))]
+        for k, port in enumerate(ports)
+    ]
+    processes = [subprocess.Popen(each, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL) for each in commands]
     try:
-        _join()  # waits until the holder is there
-        runs = [_join() for _ in range(_REPEATS)]
+        _join(ports)  # waits until the holders are there
+        runs = [_join(ports) for _ in range(_REPEATS)]
     finally:
-        holder.kill()
-        holder.wait()
+        for process in processes:
+            process.kill()
+            process.wait()
     seconds = [run[0] for run in runs]
-    rows = [Row(f"{ROBOTS} robots x {TILES} tiles", statistics.median(seconds), "s", min(seconds), max(seconds))]
-    return [*rows, Row("bytes fetched", runs[0][1] / 1e6, "MB")]
+    return [
+        Row(name, statistics.median(seconds), "s", min(seconds), max(seconds)),
+        Row("bytes fetched", runs[0][1] / 1e6, "MB"),
+    ]
 
 
-def _join() -> tuple[float, int]:
+def _join(ports: Sequence[int]) -> tuple[float, int]:
     began = time.monotonic()
     received = 0
-    with ZenohBus("late", "newcomer", listen=[], connect=[f"tcp/127.0.0.1:{_PORT}"]) as bus:
+    with ZenohBus("late", "newcomer", listen=[], connect=[f"tcp/127.0.0.1:{port}" for port in ports]) as bus:
         node = Node(bus, RULES, Hello(Hello.OBSERVER, b"newcomer", b"benchmark"), now=time.monotonic())
         peer = node.peer
         while sum(replica.state.n == CHECKPOINT for replica in peer.replicas.values()) < ROBOTS:
@@ -87,6 +104,4 @@ def _join() -> tuple[float, int]:
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser()
-    parser.add_argument("--hold", type=int)
-    hold(parser.parse_args().hold)
+    hold(*map(int, sys.argv[1:]))

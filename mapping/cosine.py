@@ -47,9 +47,10 @@ def sine(turn16: NDArray[np.int64]) -> NDArray[np.int64]:
     return COSINE.take((turn16 - FULL_TURN // 4) & (FULL_TURN - 1))
 
 
-_DIRECTIONS = np.stack([COSINE, sine(np.arange(FULL_TURN))])
+DIRECTIONS = np.stack([COSINE, sine(np.arange(FULL_TURN))]).astype(np.float64)
+"""Q14 cosine and sine of every angle, shape (2, 65536): whole numbers as doubles, which NumPy multiplies faster."""
 
 
-def direction(turn16: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Q14 cosine and sine of integer angles at once: shape (2, *turn16.shape)."""
-    return _DIRECTIONS.take(turn16 & (FULL_TURN - 1), axis=1)
+def direction(turn16: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Q14 cosine and sine of integer angles at once: shape (2, *turn16.shape), whole numbers."""
+    return DIRECTIONS.take(turn16 & (FULL_TURN - 1), axis=1)

@@ -1,33 +1,33 @@
-"""From scans to evidence, with NumPy alone: rays as strokes, strokes onto a dense box of cells, the box as tiles.
+"""From scans to evidence, with NumPy alone: rays onto a canvas of cells, the canvas as tiles.
 
 The evidence of a batch (algorithms 1 and 2) is two sums over the cells of its rays: free for every visit, and what
 occupied is worth more than that for every hit. A ray with a silent end does not visit its last cell.
 
-Few rays, such as one scan of a small robot, cost what the calls of NumPy cost, not what these do. So their cells come
-from the definition in one expression (``_direct``), at a division a visit; many rays are worth the way to strokes.
+Few rays, such as one scan of a small robot, would cost what the calls of NumPy cost, not what these do; and one long
+ray alone would need a canvas of nothing. So their cells come one by one, in plain Python (``_few``).
 
 What makes it fast, here and in ``raster_jit``, which gives the same integers from compiled loops:
 
-* two passes: first the addresses of many cells in one affine expression without a branch (``mapping.strokes``), then
-  one loop that does nothing but add to them;
 * the cells lie in a plain array as large as the batch's box, so that no ray is cut at tiles' borders and no cell is
-  looked up; tiles are cut out of it once a batch. The box costs its area, so a batch that is spread thinly is halved;
+  looked up; tiles are made of it once a batch. It costs its area, so a batch that is spread thinly is halved;
+* on it a ray is an arithmetic progression (``mapping.canvas``): no division, no product, no branch from cell to cell;
 * sums have no bound (``EvidenceModel.limit`` is applied afterwards), so that a visit is one addition.
 """
 
 from __future__ import annotations
 
+from array import array
 from collections.abc import Callable, Iterable, Iterator
 
 import numpy as np
 from numpy.typing import NDArray
 
+from mapping.canvas import FRACTION, Box, box_of, progressions, tiles_of
 from mapping.evidence import EvidenceModel
-from mapping.lattice import TILE, Lattice
-from mapping.rays import SILENT, Rays, fan, rays_of
+from mapping.lattice import MAX_RAY_CELLS, TILE, Lattice
+from mapping.rays import HIT, SILENT, Rays, fan, rays_of
 from mapping.scan import Scans
 from mapping.sensor import Sensor
-from mapping.strokes import LENGTH, SHIFT, Box, Strokes, box_of, strokes_of
 from mapping.tiles import Evidence, merged
 
 MAX_TILES = 65_536
@@ -36,18 +36,18 @@ MAX_TILES = 65_536
 Raster = Callable[[Scans, Sensor, Lattice, EvidenceModel], Evidence]
 """What scans add to a map, without any limit."""
 
-BATCH = 1 << 15
-"""Rays that go through the stages together: few enough for the cache, many enough for NumPy."""
+BATCH = 1 << 20
+"""The most rays that go onto a canvas together."""
 
 _AREA = 1 << 16
 _AREA_A_VISIT = 64
 _MOST_AREA = 1 << 22
-_LANES = 16
-_FEW = 1 << 10
-_K = np.arange(LENGTH, dtype=np.int32)[:, None]
-_FEW_RAYS = 1 << 7
-_FEW_CELLS = 1 << 12
-_ALONG = np.arange(_FEW_CELLS + 1)[:, None]
+_FEW = 1 << 8
+_CACHE = 1 << 13
+_CELLS = 1 << 16
+_BELOW = np.uint64(FRACTION)
+_K = np.arange(MAX_RAY_CELLS + 1)[:, None]
+_NOTHING = bytes(4 * TILE * TILE)
 
 
 def raster(scans: Scans, sensor: Sensor, lattice: Lattice, model: EvidenceModel) -> Evidence:
@@ -56,10 +56,9 @@ def raster(scans: Scans, sensor: Sensor, lattice: Lattice, model: EvidenceModel)
     Raises:
         ValueError: the scans are another sensor's, or touch more than ``MAX_TILES`` tiles.
     """
-    if len(scans) * len(fan(sensor, lattice).beam) <= _FEW_RAYS:
-        return raster_rays(rays_of(scans, sensor, lattice), model)
-    batches = (strokes_of(rays_of(some, sensor, lattice)) for some in in_batches(scans, sensor, lattice))
-    return in_boxes(batches, model, box_of, _draw)
+    if len(scans) == 1:
+        return gathered(_drawn(rays_of(scans, sensor, lattice), model))
+    return gathered(_parts(scans, sensor, lattice, model))
 
 
 def raster_rays(rays: Rays, model: EvidenceModel) -> Evidence:
@@ -70,74 +69,24 @@ def raster_rays(rays: Rays, model: EvidenceModel) -> Evidence:
     Raises:
         ValueError: they touch more than ``MAX_TILES`` tiles.
     """
-    if 0 < len(rays) <= _FEW_RAYS and (evidence := _direct(rays, model)) is not None:
-        return bounded(evidence)
-    return in_boxes([strokes_of(rays)], model, box_of, _draw)
+    return gathered(_drawn(rays, model))
 
 
-def _direct(rays: Rays, model: EvidenceModel) -> Evidence | None:
-    """The evidence of few short rays (one at least) that share a box which is worth its area; None of others.
-
-    The k-th cell of a ray of n steps lies k / n of the way from its first to its last, on either axis rounded to the
-    nearest whole number, ties away from the start. A ray that is shorter than the longest waits at its end for nothing.
-    """
-    start, end = rays.start.T, rays.end.T
-    way = end - start
-    far = np.abs(way)
-    n = np.maximum(far[0], far[1])
-    visits = n + (rays.ending != SILENT)
-    longest = int(n.max())
-    corners = np.concatenate([start, end], axis=1) // TILE
-    tx, ty = corners.min(axis=1).tolist()
-    last_tx, last_ty = corners.max(axis=1).tolist()
-    box = Box(ty, tx, last_ty - ty + 1, last_tx - tx + 1)
-    if len(rays) * longest > _FEW_CELLS or not is_worth_its_area(box.area, int(visits.sum())):
-        return None
-
-    k, half = _ALONG[: longest + 1], np.maximum(n, 1)
-    units = (k < visits) * np.int32(model.free)  # of each step of each ray
-    units[-1] += rays.hit * np.int32(model.occupied - model.free)
-    aside_i, aside_j = (np.minimum(k, n) * (2 * far[:, None]) + half) // (2 * half)
-    sign_i, sign_j = np.sign(way)
-    first = (start[1] - ty * TILE) * box.stride + (start[0] - tx * TILE)
-    addresses = first + aside_i * sign_i + aside_j * (sign_j * box.stride)
-    cells = np.zeros(box.rows * TILE * box.stride, np.int32)
-    np.add.at(cells, addresses.ravel(), units.ravel())
-    return _cut(cells, box)
-
-
-def in_batches(scans: Scans, sensor: Sensor, lattice: Lattice) -> Iterator[Scans]:
-    """Scans with about ``BATCH`` rays at a time, one at least."""
-    size = max(1, BATCH // len(fan(sensor, lattice).beam))
-    return (scans[first : first + size] for first in range(0, len(scans), size))
-
-
-def in_boxes(
-    batches: Iterable[Strokes],
-    model: EvidenceModel,
-    box_of: Callable[[Strokes], Box],
-    draw: Callable[[list[Strokes], Box, EvidenceModel], Evidence],
-) -> Evidence:
-    """The evidence of many strokes, drawn a box at a time, so that memory stays bounded wherever a robot was carried.
-
-    Args:
-        batches: strokes in the order of their scans, so that neighbours lie close together.
-        model: what readings are worth.
-        box_of: as ``mapping.strokes.box_of``.
-        draw: the evidence of all strokes in a list, given the box around them.
+def gathered(parts: Iterable[Evidence]) -> Evidence:
+    """The sum of parts, which are made as they are taken: no more tiles are held than one call may touch.
 
     Raises:
-        ValueError: they touch more than ``MAX_TILES`` tiles.
+        ValueError: they touch more.
     """
-    parts: list[Evidence] = []
+    kept: list[Evidence] = []
     touched = 0
-    for together, box in _grouped([(strokes, box_of(strokes)) for strokes in batches if len(strokes)], box_of):
-        parts.append(draw(together, box, model))
-        touched += len(parts[-1].keys)
+    for part in parts:
+        kept.append(part)
+        touched += len(part.keys)
         if touched > MAX_TILES:  # of one part or another: how many are there really?
-            parts = [bounded(merged(parts))]
-            touched = len(parts[0].keys)
-    return merged(parts)
+            kept = [bounded(merged(kept))]
+            touched = len(kept[0].keys)
+    return merged(kept)
 
 
 def bounded(evidence: Evidence) -> Evidence:
@@ -151,71 +100,92 @@ def bounded(evidence: Evidence) -> Evidence:
     return evidence
 
 
+def fits_a_call(scans: Scans, sensor: Sensor, lattice: Lattice) -> bool:
+    """Whether scans are few enough to go through the stages together."""
+    return len(scans) <= 1 or len(scans) * len(fan(sensor, lattice).beam) <= BATCH
+
+
 def is_worth_its_area(area: int, visits: int) -> bool:
-    """Whether strokes that visit so many cells may be drawn onto one box of that area."""
+    """Whether rays that visit so many cells may be drawn onto one canvas of that area."""
     return area <= _AREA or area <= min(_AREA + _AREA_A_VISIT * visits, _MOST_AREA)
 
 
-def _grouped(
-    batches: list[tuple[Strokes, Box]], box_of: Callable[[Strokes], Box]
-) -> Iterator[tuple[list[Strokes], Box]]:
-    """Strokes that share a box which is worth its area in visits, or small anyhow."""
-    if not batches:
+def _parts(scans: Scans, sensor: Sensor, lattice: Lattice, model: EvidenceModel) -> Iterator[Evidence]:
+    if fits_a_call(scans, sensor, lattice):
+        some = max(1, _CACHE // len(fan(sensor, lattice).beam))
+        batches = [rays_of(scans[k : k + some], sensor, lattice) for k in range(0, len(scans), some)]
+        if batches:
+            yield from _drawn(Rays.join(batches), model)
         return
-    box = Box.around([box for _, box in batches])
-    visits = sum(int(strokes["visits"].sum()) for strokes, _ in batches)
-    if not is_worth_its_area(box.area, visits) and len(batches) + len(batches[0][0]) > 2:
-        if len(batches) == 1:
-            ((strokes, _),) = batches
-            batches = [(half, box_of(half)) for half in np.array_split(strokes, 2)]
-        half = len(batches) // 2
-        yield from _grouped(batches[:half], box_of)
-        yield from _grouped(batches[half:], box_of)
+    half = len(scans) // 2
+    yield from _parts(scans[:half], sensor, lattice, model)
+    yield from _parts(scans[half:], sensor, lattice, model)
+
+
+def _drawn(rays: Rays, model: EvidenceModel) -> Iterator[Evidence]:
+    """The evidence of rays, of which those that lie far apart come in parts: each is as large as its rays are worth."""
+    visits = int(rays.visits.sum())
+    if visits <= _FEW:
+        yield _few(rays, model)
         return
-    yield [strokes for strokes, _ in batches], box
+    box = box_of(rays)
+    if is_worth_its_area(box.area, visits):
+        canvas = box.canvas()
+        _add(canvas, rays, box, model)
+        yield tiles_of(canvas, box)
+        return
+    if len(rays) == 1:
+        yield _few(rays, model)
+        return
+    half = len(rays) // 2
+    yield from _drawn(rays[:half], model)
+    yield from _drawn(rays[half:], model)
 
 
-def _draw(batches: list[Strokes], box: Box, model: EvidenceModel) -> Evidence:
-    cells = np.zeros(box.rows * TILE * box.stride, np.int32)
-    for strokes in batches:
-        _add(cells, strokes, box, model)
-    return _cut(cells, box)
+def _add(canvas: NDArray[np.int32], rays: Rays, box: Box, model: EvidenceModel) -> None:
+    """Rays of about the same length together are arrays of shape (cells, rays) with few cells too many."""
+    batches = [progressions(rays[k : k + _CACHE], box) for k in range(0, len(rays), _CACHE)]
+    first, step, visits = map(np.concatenate, zip(*batches, strict=True))
+    last = (first + np.maximum(visits - 1, 0).view(np.uint64) * step) >> _BELOW
+    np.add.at(canvas, last.view(np.intp), rays.hit * np.int32(model.occupied - model.free))
+
+    order = np.argsort(-visits.astype(np.int16), kind="stable")
+    first, step, visits = first[order], step[order], visits[order]
+    memory, free = np.empty(_CELLS, np.uint64), np.int32(model.free)
+    begin = 0
+    while begin < len(order) and (longest := int(visits[begin])):
+        some = slice(begin, begin + max(1, _CELLS // longest))
+        begin, lengths = some.stop, visits[some]
+        addresses = memory[: longest * len(lengths)].reshape(longest, -1)
+        np.multiply(_K[:longest].view(np.uint64), step[some], out=addresses)
+        addresses += first[some]
+        addresses >>= _BELOW
+        cells, common = addresses.view(np.intp), int(lengths[-1])  # so many all of them have
+        np.add.at(canvas, cells[:common].ravel(), free)
+        if common < longest:
+            np.add.at(canvas, cells[common:][_K[common:longest] < lengths], free)
 
 
-def _add(cells: NDArray[np.int32], strokes: Strokes, box: Box, model: EvidenceModel) -> None:
-    """Strokes of about the same length together are arrays of shape (lanes, strokes) with few lanes too many."""
-    stride, spread = np.int32(box.stride), _LANES if len(strokes) > _FEW else LENGTH
-    order = np.argsort(strokes["visits"], kind="stable")
-    visits, intercept, slope, hit = (strokes[name].take(order) for name in ("visits", "intercept", "slope", "hit"))
-    start = ((strokes["j"] - np.int32(box.ty * TILE)) * stride + (strokes["i"] - np.int32(box.tx * TILE))).take(order)
-    major = (strokes["major_j"] * stride + strokes["major_i"]).take(order)
-    minor = (strokes["minor_j"] * stride + strokes["minor_i"]).take(order)
-    first = 0
-    while first < len(order):
-        longest = -(-int(visits[first]) // spread) * spread
-        some = slice(first, int(visits.searchsorted(np.int16(longest), side="right")))
-        first = some.stop
-        k = _K[: int(visits[first - 1])]
-        addresses = k * slope[some]
-        addresses += intercept[some]
-        addresses >>= SHIFT
-        addresses *= minor[some]
-        addresses += start[some]
-        addresses += k * major[some]
-        common = max(0, longest - spread)  # lanes that all of them have
-        np.add.at(cells, addresses[:common].ravel().astype(np.intp), np.int32(model.free))
-        np.add.at(cells, addresses[common:][k[common:] < visits[some]].astype(np.intp), np.int32(model.free))
-    hits = np.flatnonzero(hit)
-    last = visits[hits] - np.int32(1)
-    aside = (intercept[hits] + last * slope[hits]) >> SHIFT
-    addresses = start[hits] + last * major[hits] + aside * minor[hits]
-    np.add.at(cells, addresses.astype(np.intp), np.int32(model.occupied - model.free))
+def _few(rays: Rays, model: EvidenceModel) -> Evidence:
+    """The evidence of few cells, wherever they are.
 
-
-def _cut(cells: NDArray[np.int32], box: Box) -> Evidence:
-    """The tiles of a box that have any evidence."""
-    tiles = cells.reshape(box.rows, TILE, -1)[:, :, : box.columns * TILE]
-    known = np.bitwise_or.reduce(tiles, axis=1).reshape(box.rows, box.columns, TILE).any(axis=2)
-    rows, columns = np.nonzero(known)
-    tiles = tiles.reshape(box.rows, TILE, box.columns, TILE)[rows, :, columns]
-    return Evidence(np.stack([rows + box.ty, columns + box.tx], axis=1).astype(np.int32), tiles)
+    The k-th cell of a ray of n steps lies k / n of the way from its first to its last, on either axis rounded to the
+    nearest whole number, ties away from the start.
+    """
+    tiles: dict[tuple[int, int], array[int]] = {}
+    for (i, j), (to_i, to_j), ending in zip(rays.start.tolist(), rays.end.tolist(), rays.ending.tolist(), strict=True):
+        steep = abs(to_j - j) > abs(to_i - i)
+        (major, minor), (to_major, to_minor) = ((j, i), (to_j, to_i)) if steep else ((i, j), (to_i, to_j))
+        n, d, way = abs(to_major - major), abs(to_minor - minor), 1 if to_major > major else -1
+        sign = 1 if to_minor > minor else -1
+        last = n if ending == HIT else -1
+        for k in range(n + (ending != SILENT)):
+            along, aside = major + way * k, minor + sign * ((2 * k * d + n) // (2 * n) if n else 0)
+            y, x = (along, aside) if steep else (aside, along)
+            key = y // TILE, x // TILE
+            if (tile := tiles.get(key)) is None:
+                tile = tiles[key] = array("i", _NOTHING)
+            tile[y % TILE * TILE + x % TILE] += model.occupied if k == last else model.free
+    keys = sorted(key for key, tile in tiles.items() if any(tile))
+    cells = np.frombuffer(b"".join(tiles[key] for key in keys), np.int32).reshape(-1, TILE, TILE)
+    return Evidence(np.array(keys, np.int32).reshape(-1, 2), cells)

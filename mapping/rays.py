@@ -6,6 +6,7 @@ cell is its floor division by the cell size.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import NamedTuple, Self
@@ -30,7 +31,8 @@ class Rays:
     """R rays on the lattice, in the order of the scans' valid readings.
 
     Attributes:
-        start: int64, shape (R, 2): cell (i, j) where the beam starts.
+        start: int64, shape (R, 2): cell (i, j) where the beam starts. Best column by column in memory, as all i are
+            worked on together, and all j.
         end: int64, shape (R, 2): cell (i, j) of the reading, or where the sensor's range ends.
         ending: shape (R,): ``FREE``, ``HIT`` or ``SILENT``. Booleans will do where none is silent: whether it hit.
     """
@@ -45,6 +47,13 @@ class Rays:
     def __getitem__(self, rows: slice) -> Self:
         return type(self)(self.start[rows], self.end[rows], self.ending[rows])
 
+    @classmethod
+    def join(cls, batches: Sequence[Rays]) -> Self:
+        """One batch out of several (at least one)."""
+        start = np.concatenate([batch.start.T for batch in batches], axis=1).T
+        end = np.concatenate([batch.end.T for batch in batches], axis=1).T
+        return cls(start, end, np.concatenate([batch.ending for batch in batches]))
+
     @property
     def hit(self) -> NDArray[np.bool_]:
         """Whether something was seen at the end, shape (R,)."""
@@ -53,7 +62,8 @@ class Rays:
     @property
     def steps(self) -> NDArray[np.int64]:
         """The number of steps n of each ray, int64 (R,): its cells are k = 0 ... n."""
-        return np.asarray(np.abs(self.end - self.start).max(axis=1, initial=0), dtype=np.int64)
+        across, along = np.abs(self.end - self.start).T
+        return np.asarray(np.maximum(across, along))
 
     @property
     def visits(self) -> NDArray[np.int64]:
@@ -62,7 +72,7 @@ class Rays:
 
 
 class Fan(NamedTuple):
-    """A sensor's beams as F thin rays in the robot's frame; int64, shape (F,) each.
+    """A sensor's beams as F thin rays in the robot's frame; whole numbers, shape (F,) each.
 
     Attributes:
         beam: whose reading the ray has.
@@ -70,14 +80,16 @@ class Fan(NamedTuple):
         y_mm: where it starts.
         bearing_turn16: where it looks; not wrapped.
         ending: what a reading says at its end: ``HIT`` in the beam's inner half, ``SILENT`` in its outer half.
-        table: all of these as the rows of one array, shape (5, F).
+        turns: the robot's own two axes, then the bearings: shape (2 + F,).
+        table: all but the turns as the rows of one array, shape (5, F).
     """
 
     beam: NDArray[np.int64]
     x_mm: NDArray[np.int64]
     y_mm: NDArray[np.int64]
     bearing_turn16: NDArray[np.int64]
-    ending: NDArray[np.int64]
+    ending: NDArray[np.uint8]
+    turns: NDArray[np.int64]
     table: NDArray[np.int64]
 
 
@@ -117,7 +129,8 @@ def fan(sensor: Sensor, lattice: Lattice) -> Fan:
     table = np.array(rows, np.int64).T.copy()
     table.setflags(write=False)
     beam, x_mm, y_mm, bearing, ending = table
-    return Fan(beam, x_mm, y_mm, bearing, ending, table)
+    turns = np.concatenate([[0, FULL_TURN // 4], bearing])
+    return Fan(beam, x_mm, y_mm, bearing, ending.astype(np.uint8), turns, table)
 
 
 def rays_of(scans: Scans, sensor: Sensor, lattice: Lattice) -> Rays:
@@ -129,20 +142,27 @@ def rays_of(scans: Scans, sensor: Sensor, lattice: Lattice) -> Rays:
     if scans.beams != len(sensor.beams):
         raise ValueError(f"rays: {scans.beams} readings a scan cannot be broadcast to {len(sensor.beams)} beams")
     beams = fan(sensor, lattice)
-    poses = scans.poses.astype(np.int64).T[:, :, None]  # (x, y and yaw, scans, 1)
-    ranges = scans.ranges.take(beams.beam, axis=1).astype(np.int64)
+    ranges = scans.ranges.take(beams.beam, axis=1)
     returned = ranges != NO_RETURN
     reach = np.where(returned, ranges, sensor.max_range_mm)
-    ending = np.where(returned, beams.ending, FREE).astype(np.uint8)
+    ending = np.where(returned, beams.ending, FREE)
 
-    yaw = poses[2]
-    start = (poses[:2] << Q) + beams.x_mm * direction(yaw) + beams.y_mm * direction(yaw + FULL_TURN // 4)
-    end = start + reach * direction(yaw + beams.bearing_turn16)
+    turned = direction(scans.poses[:, 2:] + beams.turns)  # the robot's axes, then the rays
+    points = np.empty((2, 2, *reach.shape))  # starts and ends; x and y; scans; rays
+    start, end = points
+    start[...] = (scans.poses.T[:2] * float(1 << Q))[:, :, None]
+    start += beams.x_mm * turned[:, :, :1]
+    start += beams.y_mm * turned[:, :, 1:2]
+    np.multiply(reach, turned[:, :, 2:], out=end)
+    end += start
 
-    scale = lattice.cell_mm << Q
-    says = ranges != INVALID
-    if says.all():
-        start, end, ending = start.reshape(2, -1), end.reshape(2, -1), ending.ravel()
-    else:
-        start, end, ending = start[:, says], end[:, says], ending[says]
-    return Rays((start // scale).T, (end // scale).T, ending)
+    # Doubles hold these whole numbers exactly, and round no quotient up to the next: one that is not whole is farther
+    # away from it than they err, and half a unit more keeps those that are whole from falling short.
+    points += 0.5
+    points *= 1.0 / (lattice.cell_mm << Q)
+    cells = np.floor(points, out=points).astype(np.int64).reshape(2, 2, -1)
+    ending = ending.ravel()
+    says = (ranges != INVALID).ravel()
+    if not says.all():
+        cells, ending = np.compress(says, cells, axis=2), ending[says]  # an index would turn the columns around
+    return Rays(cells[0].T, cells[1].T, ending)

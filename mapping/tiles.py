@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import struct
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -35,8 +35,7 @@ class Evidence:
     cells: NDArray[np.int32]
 
     def __iter__(self) -> Iterator[tuple[TileKey, Cells]]:
-        for (ty, tx), cells in zip(self.keys.tolist(), self.cells, strict=True):
-            yield TileKey(ty, tx), cells
+        return zip(map(TileKey._make, self.keys.tolist()), self.cells, strict=True)
 
 
 def frozen(cells: Cells) -> Cells:
@@ -81,16 +80,24 @@ def added(tiles: Tiles, evidence: Evidence, limit: int = 0) -> dict[TileKey, Cel
     return touched
 
 
-def summed(maps: list[Tiles]) -> dict[TileKey, Cells]:
+def total(tiles: Sequence[Cells]) -> Cells:
+    """The sum of some tiles (at least one).
+
+    Tiles lie anywhere in memory, and an addition of two costs less than its call. So they are laid side by side first:
+    a copy each, which is cheap, and one call for all. It must be told to stay int32, or it takes four times as long.
+    """
+    beside = np.frombuffer(b"".join(tiles), np.int32)  # type: ignore[arg-type]  # an array is a buffer
+    sums: Cells = np.add.reduce(beside.reshape(len(tiles), TILE * TILE), axis=0, dtype=np.int32)
+    return sums.reshape(TILE, TILE)
+
+
+def summed(maps: Iterable[Tiles]) -> dict[TileKey, Cells]:
     """The sum of maps, tile by tile: made anew, for checks and small maps (``swarm.fusion`` keeps one up to date)."""
-    total: dict[TileKey, Cells] = {}
+    together: dict[TileKey, list[Cells]] = {}
     for tiles in maps:
         for key, cells in tiles.items():
-            if (so_far := total.get(key)) is None:
-                total[key] = cells.copy()
-            else:
-                np.add(so_far, cells, so_far)  # by name it would take a third longer to begin
-    return total
+            together.setdefault(key, []).append(cells)
+    return {key: total(several) for key, several in together.items()}
 
 
 def map_digest(tiles: Tiles) -> bytes:

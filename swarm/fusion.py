@@ -11,7 +11,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from mapping.lattice import TILE, Cells, TileKey
-from mapping.tiles import Tiles, frozen, map_digest
+from mapping.tiles import Tiles, frozen, map_digest, total
 from swarm.state import Change
 
 _EMPTY = frozen(np.zeros((TILE, TILE), np.int32))
@@ -42,7 +42,7 @@ class Fusion:
         """
         for key in keys:
             parts = [tiles[key] for tiles in maps if key in tiles]
-            self.tiles[key] = parts[0] if len(parts) == 1 else frozen(sum(parts, _EMPTY))
+            self.tiles[key] = frozen(total(parts)) if parts else _EMPTY
 
     def rebuild(self, maps: Sequence[Tiles]) -> None:
         """Sum all sessions anew."""

@@ -86,7 +86,7 @@ class Update:
         form: ``SCANS``, ``CELLS`` or ``TILES``: how to read the payload.
         payload: a scan block, or entries of changed cells or whole tiles.
         trail: a scan block without ranges: the poses since the last update, where the payload has none. May be empty.
-        check: the sum modulo 2^64 of the hashes of all tiles of the state after this update.
+        check: of the state after this update (``swarm.state.state_check``).
     """
 
     KIND: ClassVar[int] = 2

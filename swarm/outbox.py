@@ -164,7 +164,7 @@ class Outbox:
         return out
 
     def _next(self) -> Lane | None:
-        waiting = [lane for lane in Lane if self._lanes[lane]]
+        waiting = [lane for lane, queue in self._lanes.items() if queue]
         if not waiting:
             return None
         turn = waiting[0] is self._last is Lane.UPDATES and len(waiting) > 1

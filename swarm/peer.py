@@ -16,7 +16,6 @@ from dataclasses import replace
 from mapping.pose import QuantisedPose
 from mapping.raster import Raster, raster
 from mapping.tiles import Tiles
-from swarm.catch_up import CatchUp
 from swarm.control_pull import ControlPull
 from swarm.controls import EVICTED, READMITTED, Controls, StartPose
 from swarm.drops import Drop
@@ -42,6 +41,7 @@ from swarm.messages import (
 )
 from swarm.outbox import Lane, Outbox, Outgoing
 from swarm.parts import Joiner, cut
+from swarm.pursuits import Pursuits
 from swarm.radio import LAN, Profile
 from swarm.replica import Replica
 from swarm.session import Descriptor, Rules, SessionId, refusal
@@ -138,7 +138,7 @@ class Peer:
         self._jitter = Jitter(seed)
         self._trickle = Trickle(profile.timers, self._jitter, now)
         self._joiner = Joiner()
-        self._catch_ups: dict[SessionId, CatchUp] = {}
+        self._pursuits = Pursuits(profile.timers, self._jitter, self._mtu)
         self._control_pull = ControlPull(profile.timers, self._jitter)
         self._controls_at = -math.inf
         self._orphans: dict[SessionId, Descriptor] = {}  # by the session that they replace, unknown here as yet
@@ -330,8 +330,7 @@ class Peer:
         self.outbox.among(len(self._around), now)
         self.told.pop(peer, None)
         self._control_pull.gone(peer)
-        for catch_up in self._catch_ups.values():
-            catch_up.gone(peer, now)
+        self._pursuits.gone(peer, now)
 
     def _meet(self, peer: str, now: float) -> None:
         self._around.add(peer)
@@ -346,8 +345,7 @@ class Peer:
         if self.outbox.clear(Lane.DIGESTS):
             times.append(self._trickle.wake_at)
         if self.outbox.clear(Lane.REQUESTS):
-            times.append(self._control_pull.wake_at)
-            times += [catch_up.wake_at for catch_up in self._pursued()]
+            times += [self._control_pull.wake_at, self._pursuits.wake_at]
         if self._settled_at is not None:
             times.append(self._settled_at)
         if self.writer is not None and self.writer.waiting:
@@ -372,27 +370,11 @@ class Peer:
         return out + self.outbox.take(now)
 
     def _ask(self, now: float) -> None:
-        """Pursue what we lack, no more sessions at once than the network bears."""
+        """Pursue what we lack."""
         if (asked := self._control_pull.poll(self.controls.check, now)) is not None:
             self._say(AskControls(self.controls.check), asked)
-        for catch_up in self._catch_ups.values():
-            catch_up.expire(now)
-        asking = sum(catch_up.asking for catch_up in self._catch_ups.values())
-        for session, catch_up in sorted(self._catch_ups.items(), key=lambda item: item[1].wake_at):
-            if asking >= self._timers.fetches and not catch_up.asking:
-                continue
-            asking -= catch_up.asking
-            if (request := catch_up.poll(self.replicas.get(session), now)) is not None:
-                provider, message = request
-                self._say(message, provider)
-            asking += catch_up.asking
-            if catch_up.resting:
-                del self._catch_ups[session]
-
-    def _pursued(self) -> list[CatchUp]:
-        """Those whose time counts: all, or, while no more may be begun, those that wait for an answer."""
-        asking = [catch_up for catch_up in self._catch_ups.values() if catch_up.asking]
-        return asking if len(asking) >= self._timers.fetches else [*self._catch_ups.values()]
+        for provider, request in self._pursuits.poll(self.replicas, now):
+            self._say(request, provider)
 
     # --- hearing
 
@@ -432,10 +414,10 @@ class Peer:
     def _update(self, sender: str, update: Update, now: float) -> None:
         replica = self._followed(update.session)
         if replica is None:
-            self._catch_up(update.session).heard(sender, update.n, -1, now)
+            self._pursuits.heard(update.session, sender, update.n, -1, now)
             raise Drop("unknown_session")
         if update.n > replica.state.n + 1:
-            self._catch_up(update.session).heard(sender, update.n, replica.state.n, now)
+            self._pursuits.heard(update.session, sender, update.n, replica.state.n, now)
         self._follow(sender, replica, replica.offer(update), now)
 
     def _digest(self, sender: str, digest: Digest, now: float) -> None:
@@ -458,7 +440,7 @@ class Peer:
                 if self._writes(session):
                     self.dropped["own_session"] += 1
                     continue
-                self._catch_up(session).heard(sender, n, mine, now)
+                self._pursuits.heard(session, sender, n, mine, now)
                 ahead = True
             elif n < mine and now - self._news_at.get(session, -math.inf) > self._timers.settle:
                 behind = True
@@ -488,7 +470,7 @@ class Peer:
             raise Drop("too_many")
         if parent is not None and parent not in self.descriptors and refusal(self.rules, descriptor) is None:
             self._orphans[parent] = descriptor
-            self._catch_up(parent).heard(sender, 0, -1, now)
+            self._pursuits.heard(parent, sender, 0, -1, now)
             raise Drop("unknown_session")
         following: Descriptor | None = descriptor
         while following is not None:
@@ -503,11 +485,10 @@ class Peer:
     def _fetched(self, sender: str, message: Manifest | TilesMessage, now: float) -> None:
         """An answer to what a catch-up asked for: perhaps the last piece of a later state."""
         replica = self.replicas.get(message.session)
-        catch_up = self._catch_ups.get(message.session)
-        if replica is None or catch_up is None:
+        if replica is None:
             raise Drop("not_asked")
         try:
-            state = catch_up.offer(sender, message, replica.state, now)
+            state = self._pursuits.offer(sender, message, replica.state, now)
         except Drop as drop:
             if drop.reason == "bad_root":
                 self._start_over(sender, replica, now)
@@ -525,7 +506,7 @@ class Peer:
         self.descriptors[session] = descriptor
         if (reason := self._refusal(descriptor)) is not None:
             self.refused[session] = f"{descriptor.robot}: {reason}"
-            self._catch_ups.pop(session, None)
+            self._pursuits.forget(session)
             return
         self.replicas[session] = Replica(descriptor, self._kernel, deflate=self._deflate)
         if descriptor.replaces is not None:
@@ -550,7 +531,8 @@ class Peer:
             return
         if self._writes(old):
             self.writer = None
-        for table in (self._catch_ups, self._news_at, self.heard_at):
+        self._pursuits.forget(old)
+        for table in (self._news_at, self.heard_at):
             table.pop(old, None)
         if self._summed(replica):
             self.fusion.resum(replica.state.cells, self._maps())
@@ -600,29 +582,32 @@ class Peer:
             self.heard_at[hello.session] = now
 
     def _advanced(self, session: SessionId, now: float) -> None:
-        catch_up = self._catch_ups.get(session)
-        if catch_up is not None:
-            catch_up.advanced(self.replicas[session].state.n, now)
+        self._pursuits.advanced(session, self.replicas[session].state.n, now)
 
     def _start_over(self, sender: str, replica: Replica, now: float) -> None:
         """A copy proved wrong: back to the empty state, keeping what is sound of it to spare the wire.
 
         The sum is made anew, for nobody knows what of the wrong copy went into it.
         """
-        catch_up = self._catch_up(replica.descriptor.session)
-        catch_up.keep(replica.state.sound_tiles())
-        catch_up.heard(sender, replica.state.n, 0, now)
+        session, wrong = replica.descriptor.session, replica.state
         replica.restart()
-        catch_up.advanced(0, now)
+        self._pursuits.start_over(session, sender, wrong, now)
         self.fusion.rebuild(self._maps())
-        self._news(replica.descriptor.session, now)
+        self._news(session, now)
 
     # --- look-ups
 
     def known_n(self, session: SessionId) -> int:
         """The latest state of a session that anybody is known to hold, -1 if nobody is."""
-        replica, catch_up = self.replicas.get(session), self._catch_ups.get(session)
-        return max(-1 if replica is None else replica.state.n, -1 if catch_up is None else catch_up.most)
+        replica = self.replicas.get(session)
+        return max(-1 if replica is None else replica.state.n, self._pursuits.most(session))
+
+    def is_heard(self) -> bool:
+        """Whether somebody who is there has told that it holds all of the own session, or nobody is there to."""
+        if self.writer is None or not self.peers:
+            return True
+        session, n = self.writer.replica.descriptor.session, self.writer.replica.state.n
+        return any(digest.positions().get(session, -1) >= n for digest in self.told.values())
 
     def live(self) -> set[SessionId]:
         """The sessions that somebody who is there writes, the own one included."""
@@ -669,13 +654,6 @@ class Peer:
         if replica is None:
             raise Drop("unknown_session")
         return replica
-
-    def _catch_up(self, session: SessionId) -> CatchUp:
-        if session not in self._catch_ups:
-            if len(self._catch_ups) >= MAX_SESSIONS:
-                raise Drop("too_many")
-            self._catch_ups[session] = CatchUp(session, self._timers, self._jitter, self._mtu)
-        return self._catch_ups[session]
 
     # --- speaking
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mapping.pose import FULL_TURN
-from mapping.scan import INVALID, NO_RETURN, Scans
+from mapping.scan import NO_RETURN, Scans
 from swarm.bits import pack, unpack
 from swarm.drops import Drop
 from swarm.limits import MAX_COORDINATE_MM, MAX_SCANS
@@ -58,15 +58,16 @@ def decode_scans(block: bytes, beams: int, max_range_mm: int) -> Scans:
         if predictor not in {_ACROSS, _IN_TIME} or not 1 <= count <= MAX_SCANS:
             raise ValueError("scan block: bad header")
         rest = block[_HEADER.size :]
-        residuals = np.empty((4, count - 1), np.int64)
+        ways = np.empty((4, count), np.int64)
+        ways[:, 0] = first
         for row, width in enumerate((_FAR, _FAR, _FAR, _NEAR)):
-            residuals[row], rest = unpack(rest, count - 1, width)
+            ways[row, 1:], rest = unpack(rest, count - 1, width)
         range_residuals, rest = unpack(rest, count * beams, _NEAR)
     except (ValueError, struct.error):
         raise Drop("bad_payload") from None
-    ways = _integrated(first, residuals)
+    _integrate(ways)
     ranges = _ranges(range_residuals.reshape(count, beams), predictor)
-    bad_range = (ranges != INVALID) & (ranges != NO_RETURN) & (ranges > max_range_mm)
+    bad_range = (ranges > max_range_mm) & (ranges != NO_RETURN)
     if rest or ways[1:3].min() < -MAX_COORDINATE_MM or ways[1:3].max() > MAX_COORDINATE_MM or bad_range.any():
         raise Drop("bad_payload")
     ways[3] %= FULL_TURN
@@ -80,12 +81,11 @@ def _second_differences(ways: NDArray[np.int64]) -> NDArray[np.int64]:
     return steps
 
 
-def _integrated(first: list[int], residuals: NDArray[np.int64]) -> NDArray[np.int64]:
-    ways = np.empty((len(residuals), residuals.shape[1] + 1), np.int64)
-    ways[:, 0] = first
-    ways[:, 1:] = residuals.cumsum(axis=1).cumsum(axis=1)
-    ways[:, 1:] += ways[:, :1]
-    return ways
+def _integrate(ways: NDArray[np.int64]) -> None:
+    """In each row, first values followed by second differences become values."""
+    if ways.shape[1] > 1:  # a lone scan is the usual case, and has none
+        ways[:, 1:] = ways[:, 1:].cumsum(axis=1).cumsum(axis=1)
+        ways[:, 1:] += ways[:, :1]
 
 
 def _wrapped(values: NDArray[np.int64]) -> NDArray[np.int64]:

@@ -36,8 +36,9 @@ def tile_hash(key: TileKey, cells: Cells) -> int:
     return int.from_bytes(hashlib.blake2b(data, digest_size=8).digest(), "little")
 
 
-def _check(marks: Mapping[TileKey, Mark]) -> int:
-    return sum(mark.hash for mark in marks.values()) % 2**64
+def state_check(n: int, marks: Mapping[TileKey, Mark]) -> int:
+    """The sum modulo 2^64 of n and all tiles' hashes: n too, for an update of whole tiles fits at other numbers."""
+    return (n + sum(mark.hash for mark in marks.values())) % 2**64
 
 
 @dataclass(slots=True)
@@ -48,7 +49,7 @@ class State:
         n: updates applied.
         cells: evidence by tile.
         marks: version and hash by tile; the same keys as ``cells``.
-        check: the sum of the hashes modulo 2^64.
+        check: ``state_check`` of them.
     """
 
     n: int = 0
@@ -67,8 +68,11 @@ class State:
         self.n, self.check = later.n, later.check
 
     def root(self) -> bytes:
-        """BLAKE2b-128 over all tiles in order of (ty, tx): ty, tx, version (uint32), hash (uint64), little-endian."""
-        digest = hashlib.blake2b(digest_size=16)
+        """BLAKE2b-128 over n (uint32) and all tiles in order of (ty, tx): ty, tx, version (uint32), hash (uint64).
+
+        All little-endian. It covers n, so that nobody takes a state for an earlier or a later one.
+        """
+        digest = hashlib.blake2b(self.n.to_bytes(4, "little"), digest_size=16)
         for key in sorted(self.marks):
             digest.update(_ROOT_ENTRY.pack(*key, *self.marks[key]))
         return digest.digest()
@@ -80,7 +84,7 @@ class State:
     def sound(self) -> bool:
         """Whether every tile is what its mark says, and the check their sum."""
         hashes = {(key, mark.hash) for key, mark in self.marks.items()}
-        return self.sound_tiles().keys() == hashes and self.check == _check(self.marks)
+        return self.sound_tiles().keys() == hashes and self.check == state_check(self.n, self.marks)
 
     @classmethod
     def verified(cls, n: int, marks: dict[TileKey, Mark], cells: dict[TileKey, Cells], root: bytes) -> State:
@@ -89,7 +93,7 @@ class State:
         Raises:
             Drop: ``bad_root``.
         """
-        state = cls(n, cells, marks, _check(marks))
+        state = cls(n, cells, marks, state_check(n, marks))
         if state.root() != root:
             raise Drop("bad_root")
         return state
@@ -102,7 +106,7 @@ class State:
         """
         new = {key: cells for key, cells in changed.items() if self._differs(key, cells)}
         marks = {key: Mark(self.n + 1, tile_hash(key, cells)) for key, cells in new.items()}
-        check = self.check
+        check = self.check + 1
         for key, mark in marks.items():
             check += mark.hash - (self.marks[key].hash if key in self.marks else 0)
         if len(self.cells) + sum(key not in self.cells for key in new) > MAX_TILES:
@@ -111,7 +115,7 @@ class State:
 
     def _differs(self, key: TileKey, cells: Cells) -> bool:
         before = self.cells.get(key)
-        return bool(cells.any()) if before is None else not np.array_equal(before, cells)
+        return bool(cells.any() if before is None else (before != cells).any())  # np.array_equal takes twice as long
 
     def apply(self, step: Step) -> Change:
         """Become the state after ``step``, which was made from this one."""

@@ -29,8 +29,8 @@ class Timers:
     settle: float = 0.2
     jitter: tuple[float, float] = (0.005, 0.020)
     retry: float = 0.25
-    retry_max: float = 3.0
-    backoff: float = 1.3
+    retry_max: float = 1.0
+    backoff: float = 1.2
     give_up: int = 8
     window: int = 32
     fetches: int = 16
@@ -47,6 +47,7 @@ RADIO = Timers(
     jitter=(0.1, 0.3),
     retry=3.0,
     retry_max=20.0,
+    backoff=1.3,
     window=8,
     fetches=4,
 )

@@ -27,7 +27,7 @@ def recordings_dir() -> Path:
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
-    """A line each on the tests that did not run for want of recordings or of a browser."""
+    """A line each on the tests that did not run for want of recordings, of a browser or of systemd."""
     skipped = [report for report in terminalreporter.getreports("skipped") if "recordings" in report.keywords]
     if skipped:
         terminalreporter.write_line(f"{len(skipped)} recordings tests were SKIPPED: {_HOW}", yellow=True, bold=True)
@@ -35,3 +35,7 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
     if unseen:
         how = "install chromium and chromium-driver, and build web/"
         terminalreporter.write_line(f"{len(unseen)} browser tests were SKIPPED: {how}", yellow=True, bold=True)
+    unverified = [report for report in terminalreporter.getreports("skipped") if "units" in report.keywords]
+    if unverified:
+        how = "apt-get install systemd"
+        terminalreporter.write_line(f"{len(unverified)} units tests were SKIPPED: {how}", yellow=True, bold=True)

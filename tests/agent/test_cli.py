@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+import json
 import signal
 import socket
 import subprocess
@@ -28,6 +29,11 @@ class Said(NamedTuple):
     errors: list[str]
 
 
+def in_a_terminal(line: str) -> str:
+    """A line as it would be there: elsewhere the processes of a swarm write JSON."""
+    return f"orion: {json.loads(line)['message']}" if line.startswith("{") else line
+
+
 @pytest.fixture
 def orion(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
     """Runs a command that ends by itself, in this process; leaves no trace in it."""
@@ -39,7 +45,7 @@ def orion(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
         with pytest.raises(SystemExit) as end:
             cli.main()
         out, errors = capsys.readouterr()
-        return Said(int(end.value.code or 0), out, errors.splitlines())
+        return Said(int(end.value.code or 0), out, [in_a_terminal(line) for line in errors.splitlines()])
 
     yield run
     sys.setswitchinterval(interval)
@@ -89,7 +95,7 @@ def test_orion_alone_and_its_help_list_the_commands(orion) -> None:
     for said in (orion(), orion("--help"), orion("map")):
         assert said.status in {0, 2}  # typer's choice differs by version where no word is given
     text = orion("--help").out
-    assert all(word in text for word in ("demo", "replay", "agent", "observe", "simulate", "doctor", "map"))
+    assert all(word in text for word in ("demo", "replay", "agent", "observe", "top", "simulate", "doctor", "map"))
     assert "--supervised" not in orion("agent", "--help").out
 
 
@@ -210,7 +216,7 @@ def test_a_bad_configuration_is_one_line(orion, tmp_path: Path, out: Path, comma
         ),
         (["demo", "--transport", "pigeon"], "--transport: transport: input should be 'zenoh' or 'zmq'"),
         (["demo", "--publish", "loud"], "--publish: publish: input should be"),
-        (["demo", "--base-port", "65535"], "base_port: 65535 leaves no ports for 2 robots"),
+        (["demo", "--base-port", "65535"], "base_port: 65535 leaves no ports for 2 peers"),
         (["demo", "--base-port", "0"], "--base-port: base_port: input should be greater than or equal to 1"),
         (["demo", "-c", "none.toml"], "none.toml: cannot be read: No such file or directory"),
         (["observe", "-c", "none.toml"], "none.toml: cannot be read: No such file or directory"),

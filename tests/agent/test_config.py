@@ -190,6 +190,8 @@ def test_the_simulations_noise_is_that_of_a_well_kept_orion_unless_told_otherwis
             "[sensor]\nkind = 'beams'\nmax_range = 1.0\nbeams = [{baering_deg = 3.0}]",
             "sensor.beams.0.baering_deg: is no key of the configuration; did you mean bearing_deg?",
         ),
+        ("[observers.b]\nhots = 'a'", "observers.b.hots: is no key of the configuration; did you mean host?"),
+        ("[robots.b]\n[observers.b]", "observers: b is a robot's name"),
         ("[robots.r1]\nhots = 'a'", "robots.r1.hots: is no key of the configuration; did you mean host?"),
         ("[robots.r1.start]\nyaw = 90", "robots.r1.start.yaw: is no key of the configuration; did you mean yaw_deg?"),
         (
@@ -205,7 +207,10 @@ def test_the_simulations_noise_is_that_of_a_well_kept_orion_unless_told_otherwis
             "[robots.r1.body]\nkind = 'recording'\npaht = 'run.log'",  # path is missing too, and that says less
             "robots.r1.body.paht: is no key of the configuration; did you mean path?",
         ),
-        ("zzz = 1", "zzz: is no key of the configuration; known here: base_port, cell, evidence, publish, radio, "),
+        (
+            "zzz = 1",
+            "zzz: is no key of the configuration; known here: base_port, cell, evidence, observers, publish, radio, ",
+        ),
     ],
 )
 def test_an_unknown_key_at_any_level_names_the_nearest_known_one(complaint, text: str, said: str) -> None:
@@ -244,7 +249,7 @@ def test_a_start_that_no_robot_has_is_refused(complaint, key: str, number: str) 
         ("swarm = 'a/b'", "swarm: a swarm's name is 1 to 64 letters"),
         ("transport = 'pigeon'", "transport: input should be 'zenoh' or 'zmq', got 'pigeon'"),
         ("base_port = 0", "base_port: input should be greater than or equal to 1"),
-        ("base_port = 65535\n[robots.r1]\n[robots.r2]", "base_port: 65535 leaves no ports for 2 robots"),
+        ("base_port = 65535\n[robots.r1]\n[robots.r2]", "base_port: 65535 leaves no ports for 2 peers"),
         ("publish = 'loud'", "publish: input should be 'auto', 'scans' or 'tiles', got 'loud'"),
         ("[evidence]\noccupied = -1", "evidence.occupied: input should be greater than 0"),
         ("[evidence]\noccupied = 0.001", "evidence: occupied is 0, expected 1 to 10000 units"),

@@ -46,6 +46,17 @@ def status(*, around: int = 0, **apart: str) -> dict[str, object]:
     return {"around": around, "apart": apart, "done": True, "positions": {}}
 
 
+def test_a_person_is_told_when_a_robot_is_done_and_never_that_an_observer_is(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    robot, observer = Control(), Control()
+    for done in (False, False, True, True, False, True):
+        robot.tell("status", **status() | {"done": done})
+        observer.tell("status", **status())
+    told = "orion: it is done, and all of it is published; it stays in the swarm until Ctrl-C"
+    assert capsys.readouterr().err.splitlines() == [told, told]
+
+
 def test_a_process_in_a_terminal_goes_at_once_and_tells_a_person_what_is_new(
     capsys: pytest.CaptureFixture[str],
 ) -> None:

@@ -15,6 +15,7 @@ import agent.fleet
 from agent.config import resolve
 from agent.errors import UserError
 from agent.fleet import Fleet
+from agent.outputs import Outputs
 from agent.progress import Silence
 
 DIGEST = "ab" * 16
@@ -143,7 +144,7 @@ def cast(monkeypatch: pytest.MonkeyPatch):
             return actors[name]
 
         monkeypatch.setattr(agent.fleet.subprocess, "Popen", popen)
-        with Fleet(resolve({"robots": {"r1": {}, "r2": {}}}), Path("out")) as fleet:
+        with Fleet(resolve({"robots": {"r1": {}, "r2": {}}}), Path("out"), Outputs()) as fleet:
             fleet.start(simulated=simulated)
             settled = fleet.run(Silence())
             fleet.finish()
@@ -272,7 +273,7 @@ def test_what_the_observer_cannot_do_at_the_end_is_said_in_its_words(cast) -> No
 
 def test_a_run_that_is_interrupted_before_everybody_has_started_still_has_a_summary(tmp_path: Path) -> None:
     """Ctrl-C came between the first process and the last: that ended in a KeyError."""
-    fleet = Fleet(resolve({"robots": {"r1": {}}}), tmp_path)
+    fleet = Fleet(resolve({"robots": {"r1": {}}}), tmp_path, Outputs())
     summary = fleet.summary(settled=False, seconds=0.1)
     assert (summary["converged"], summary["robots"], summary["observer"]) == (False, [], {})
 

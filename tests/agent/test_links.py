@@ -55,13 +55,13 @@ def test_an_agent_on_an_occupied_port_says_the_same(occupied: int, transport: st
     """It once named all the swarm's endpoints and a place in Zenoh's sources."""
     said = rf"^robots\.r1: 127\.0\.0\.1:{occupied}: address already in use; give another base_port$"
     with pytest.raises(UserError, match=said):
-        open_bus(swarm(occupied, "127.0.0.1", transport=transport), "r1", 0)
+        open_bus(swarm(occupied, "127.0.0.1", transport=transport), "r1")
 
 
 @pytest.mark.parametrize("transport", ["zenoh", "zmq"])
 def test_a_port_just_given_up_is_free_again(transport: str) -> None:
     config = swarm(a_free_port(), "127.0.0.1", transport=transport)
-    with open_bus(config, "r1", 0), pytest.raises(UserError, match="address already in use"):
+    with open_bus(config, "r1"), pytest.raises(UserError, match="address already in use"):
         check_ports(config)
     check_ports(config)
 
@@ -75,20 +75,26 @@ def test_a_port_just_given_up_is_free_again(transport: str) -> None:
     ],
 )
 def test_a_host_that_is_not_ours_is_named_with_its_robot(host: str, reason: str) -> None:
-    with pytest.raises(
-        UserError, match=rf"^robots\.r1: {host}:\d+: .*{reason}.*; give the robot a host of this machine"
-    ):
+    with pytest.raises(UserError, match=rf"^robots\.r1: {host}:\d+: .*{reason}.*; give it a host of this machine"):
         check_ports(swarm(a_free_port(), host))
 
 
 def test_a_name_that_nobody_knows_is_named_with_its_robot() -> None:
-    with pytest.raises(UserError, match=r"^robots\.r1: nobody\.invalid:\d+: .*; give the robot a host of this machine"):
+    with pytest.raises(UserError, match=r"^robots\.r1: nobody\.invalid:\d+: .*; give it a host of this machine"):
         check_ports(swarm(a_free_port(), "nobody.invalid"))
 
 
 @pytest.mark.parametrize("transport", ["zenoh", "zmq"])
 def test_an_observer_listens_nowhere(transport: str) -> None:
     config = swarm(a_free_port(), "127.0.0.1", transport=transport)
-    with open_bus(config, "observer", None) as bus:
+    with open_bus(config, "observer") as bus:
         assert bus.peer.startswith("observer.")
         check_ports(config)
+
+
+@pytest.mark.parametrize("transport", ["zenoh", "zmq"])
+def test_an_observer_with_a_table_listens_after_the_robots(transport: str) -> None:
+    config = resolve(swarm(a_free_port(), "127.0.0.1", transport=transport).model_dump() | {"observers": {"base": {}}})
+    assert (config.roster, config.listeners) == (["r1"], ["r1", "base"])
+    with open_bus(config, "base"), pytest.raises(UserError, match=r"observers\.base: .*address already in use"):
+        open_bus(config, "base")

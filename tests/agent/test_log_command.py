@@ -170,3 +170,10 @@ def test_a_robots_agent_needs_none_of_the_packages_of_logs() -> None:
     test = "sys.exit(str({'mcap', 'rosbags', 'zstandard', 'lz4'} & sys.modules.keys()) if "
     test += "{'mcap', 'rosbags'} & sys.modules.keys() else 0)"
     subprocess.run([sys.executable, "-c", f"{modules}; {test}"], check=True)
+
+
+def test_what_is_no_log_is_not_shown(tmp_path: Path) -> None:
+    (tmp_path / "x.mcap").write_text("no")
+    result = CliRunner().invoke(app, ["show", str(tmp_path / "x.mcap"), "--no-open"])
+    assert isinstance(result.exception, UserError)
+    assert "is no MCAP file" in str(result.exception)

@@ -25,7 +25,7 @@ from mapping.tiles import map_digest
 from swarm.messages import Hello
 from swarm.session import Rules
 from transport.bus import is_name
-from transport.in_process import InProcessBus, Network
+from transport.in_process import InProcessBus, Link, Network
 
 RULES = Rules(Lattice(20), EvidenceModel())
 ORIGIN = QuantisedPose(0, 0, 0)
@@ -84,6 +84,7 @@ class Conductor:
         self.go, self.kernel = go, False
         self.told: list[dict[str, Any]] = []
         self.at: list[float] = []
+        self.beats: list[float] = []
         self._time, self._over = time, over
         self._steps: Iterator[None] = iter(())
 
@@ -103,16 +104,23 @@ class Conductor:
         self.told.append(facts)
         self.at.append(self._time.now)
 
+    def beat(self, now: float) -> None:
+        self.beats.append(now)
+
 
 class FakeTime:
     """Stands for ``time`` in the node, and moves the network along."""
 
     def __init__(self) -> None:
         self.now = 0.0
+        self.slept: list[float] = []
         self.network = Network(seed=1)
 
     def monotonic(self) -> float:
         return self.now
+
+    def sleep(self, seconds: float) -> None:
+        self.slept.append(seconds)
 
     def passes(self) -> None:
         self.now += STEP
@@ -145,6 +153,25 @@ def steps(node: Node, time: FakeTime) -> Iterator[None]:
 
 def done(conductor: Conductor) -> bool:
     return bool(conductor.told) and bool(conductor.told[-1]["done"])
+
+
+# The loop
+
+
+def test_what_comes_in_gathers_while_the_loop_rests_unless_a_peer_has_just_been_spoken_to(time) -> None:
+    node = observer(time.network.bus("o"))
+    waited: list[float] = []
+    receive = node._bus.receive
+    node._bus.receive = lambda timeout: (waited.append(timeout), receive())[1]  # type: ignore[method-assign]
+    node.run(Conductor(time, lambda control: time.now > 0.5))
+    assert set(waited) == {0.0}
+    assert max(time.slept) == NoBody.patience
+    bus = time.network.bus("r")  # whoever joins is told things that are for it alone, and may answer
+    node.run(Conductor(time, lambda control: max(waited) > 0.0))
+    bus.close()
+    slept = len(time.slept)
+    node.run(Conductor(time, lambda control: len(time.slept) > slept + 5))
+    assert set(waited[-5:]) == {0.0}
 
 
 # Senses
@@ -212,6 +239,40 @@ def test_what_was_sensed_last_is_published_when_it_is_told_to_stop(time) -> None
     node.run(Conductor(time, lambda control: body.done))  # it stops with news in hand
     assert node.peer.writer is not None
     assert not node.peer.writer.waiting
+    assert node.summary()["map_digest"] == body.digest()
+
+
+def test_whoever_ends_stays_until_somebody_has_its_last_words(time, monkeypatch) -> None:
+    body, watching = Body(2 * BATCH), observer(time.network.bus("o"))
+    node, turns = robot(time.network.bus("r1"), body, speed=math.inf), steps(watching, time)
+
+    def over(control: Conductor) -> bool:
+        if body.given:
+            time.network.links["r1", "o"] = Link(loss=1.0)
+        return body.done
+
+    def sleep(seconds: float) -> None:
+        for _ in range(round(seconds / STEP)):
+            time.passes()
+        next(turns)
+        if len(time.slept) > 5:
+            time.network.links.clear()
+        time.slept.append(seconds)
+
+    control = Conductor(time, over)
+    control.plays(turns)
+    monkeypatch.setattr(time, "sleep", sleep)
+    node.run(control)
+    assert watching.summary()["map_digest"] == node.summary()["map_digest"] == body.digest()
+    assert len(time.slept) < 45
+
+
+def test_whoever_ends_does_not_stay_for_those_who_never_hear_it(time) -> None:
+    body = Body()
+    observer(time.network.bus("o")).peer.joined("r1", 0.0)
+    node = robot(time.network.bus("r1"), body, speed=math.inf)
+    time.network.links["r1", "o"] = Link(loss=1.0)
+    node.run(Conductor(time, lambda control: body.done))
     assert node.summary()["map_digest"] == body.digest()
 
 
@@ -312,6 +373,7 @@ def test_statuses_are_news_and_at_most_ten_a_second(time) -> None:
     assert all(later - earlier >= 0.1 - 1e-9 for earlier, later in zip(control.at, control.at[1:], strict=False))
     assert all(one != other for one, other in zip(control.told, control.told[1:], strict=False))
     assert control.at[-1] < 2.5  # nothing new: nothing said
+    assert control.beats[-1] > 4.8  # yet it lives
 
 
 def test_done_is_not_said_before_everything_is_published(time) -> None:

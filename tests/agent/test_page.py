@@ -100,7 +100,9 @@ def until(socket, condition) -> dict:
     deadline = time.monotonic() + PATIENCE
     while time.monotonic() < deadline:
         frame = msgpack.unpackb(socket.recv(timeout=PATIENCE))
-        for layer, keys, cells in frame.get("tiles", []):
+        for layer, level, keys, cells in frame.get("tiles", []):
+            if level:
+                continue
             places = np.frombuffer(keys, "<i4").reshape(-1, 2).tolist()
             contents = np.frombuffer(cells, "<i2").astype(np.int32).reshape(-1, TILE, TILE)
             layers.setdefault(layer, {}).update({TileKey(*k): c for k, c in zip(places, contents, strict=True)})
@@ -114,6 +116,17 @@ def shows(digest: bytes):
     return lambda frame, layers: map_digest(layers.get("", {})) == digest
 
 
+def test_it_answers_service_managers_and_prometheus(serve, watched, straight) -> None:
+    page, loop = serve()
+    with loop.between_turns:
+        watched.robot("r1")
+        watched.sense("r1", straight(5))
+    deadline = time.monotonic() + PATIENCE
+    while b"orion_summed_sessions 1.0" not in ask(page.url, "metrics")[1]:
+        assert time.monotonic() < deadline
+    assert ask(page.url, "healthz")[0] == 200
+
+
 def test_frames_are_the_map_and_follow_it(serve, watched, straight) -> None:
     page, loop = serve()
     with loop.between_turns:
@@ -125,6 +138,13 @@ def test_frames_are_the_map_and_follow_it(serve, watched, straight) -> None:
             watched.sense("r1", straight(20, y_mm=400, first_ms=2000))
         digest = watched.observer.fusion.digest().hex()
         until(socket, lambda frame, layers: frame.get("state", {}).get("digest") == digest)
+
+
+def test_a_server_without_news_says_that_it_is_there(serve, monkeypatch) -> None:
+    monkeypatch.setattr("agent.page_server._SILENCE", 0.05)
+    page, _ = serve()
+    with live(page.url) as socket:
+        until(socket, lambda frame, layers: frame == {})
 
 
 def test_orders_are_carried_out_by_the_loop_and_shown(serve, watched, straight) -> None:

@@ -8,15 +8,20 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agent.page_feed import FRAME_TILES, FUSED, MOST_HISTORY, Feed
-from agent.page_snapshot import Snapshot, Snapshots
+from agent.overview import Overview
+from agent.page_feed import FRAME_TILES, FUSED, Feed, pooled
+from agent.page_history import MOST_HISTORY
+from agent.page_snapshot import SessionView, Snapshot, Snapshots, Traffic
+from agent.page_tracks import Track
 from mapping.evidence import EvidenceModel
 from mapping.lattice import TILE, Lattice, TileKey
-from mapping.map_picture import robot_colour
 from mapping.pose import QuantisedPose
-from swarm.session import Rules
+from mapping.sensor import orion
+from swarm.contributions import Contribution
+from swarm.session import Descriptor, Rules
 
 RULES = Rules(Lattice(50), EvidenceModel())
+NOTHING = Traffic({}, {}, {})
 
 
 class Screen:
@@ -24,6 +29,7 @@ class Screen:
 
     def __init__(self) -> None:
         self.tiles: dict[str, dict[TileKey, np.ndarray]] = {}
+        self.coarse: dict[TileKey, np.ndarray] = {}
         self.trails: dict[str, list[list[int]]] = {}
         self.hits: dict[str, int] = {}
         self.history: list[list[float]] = []
@@ -32,16 +38,18 @@ class Screen:
 
     def show(self, frame: bytes) -> None:
         content = msgpack.unpackb(frame)
-        for layer, keys, cells in content.get("tiles", []):
+        for layer, level, keys, cells in content.get("tiles", []):
             places = np.frombuffer(keys, "<i4").reshape(-1, 2).tolist()
-            values = np.frombuffer(cells, "<i2").reshape(-1, TILE, TILE)
+            values = np.frombuffer(cells, "<i2").reshape(-1, TILE >> level, TILE >> level)
             assert len(places) == len(values)
-            self.tiles.setdefault(layer, {}).update(zip([TileKey(*place) for place in places], values, strict=True))
-        for layer, first, trail, hits in content.get("tracks", []):
+            assert values.size <= FRAME_TILES * TILE * TILE
+            tiles = self.coarse if level else self.tiles.setdefault(layer, {})
+            tiles.update(zip([TileKey(*place) for place in places], values, strict=True))
+        for layer, first, trail, first_hit, hits in content.get("tracks", []):
             known = self.trails.setdefault(layer, [])
-            assert first == len(known)
-            known += np.frombuffer(trail, "<i4").reshape(-1, 3).tolist()
-            self.hits[layer] = self.hits.get(layer, 0) + len(hits) // 8
+            assert first <= len(known)
+            known[first:] = np.frombuffer(trail, "<i4").reshape(-1, 3).tolist()
+            self.hits[layer] = first_hit + len(hits) // 8
         self.history += content.get("history", [])
         self.state = content.get("state", self.state)
         self.ended = content.get("ended", False)
@@ -53,12 +61,12 @@ class Screen:
 
 def bare(fused: dict, now: float = 0.0) -> Snapshot:
     """A snapshot of a map alone."""
-    return Snapshot(now=now, rules=RULES, fused=fused, sessions=(), peers=(), bytes_rate=0.0)
+    return Snapshot(now=now, rules=RULES, fused=fused, sessions=(), peers=(), bytes_rate=0.0, traffic=NOTHING)
 
 
 @pytest.fixture
 def feed() -> Feed:
-    return Feed("lab", ["r1", "r2"])
+    return Feed(Overview("lab", ["r1", "r2"]))
 
 
 def test_frames_put_together_are_the_map_and_every_robots_own(watched, straight, feed) -> None:
@@ -91,27 +99,61 @@ def test_a_browser_that_takes_nothing_costs_a_set_of_keys_and_gets_the_newest(fe
     keys = [TileKey(0, k) for k in range(30)]
     for value in range(1, 200):
         feed.take(bare({key: np.full((TILE, TILE), value, np.int32) for key in keys}))
-    assert len(browser.lacks) == 30
+    assert browser.lacks == {FUSED: set(keys)}
     screen = Screen()
     screen.show(browser.frame())
     assert all((cells == 199).all() for cells in screen.tiles[FUSED].values())
     assert browser.frame() is None
 
 
-def test_frames_are_bounded_and_nothing_is_sent_twice(feed) -> None:
-    feed.take(bare({TileKey(k, k): np.full((TILE, TILE), k + 1, np.int32) for k in range(3 * FRAME_TILES)}))
+def test_a_large_map_comes_coarse_in_one_frame_and_then_whole_and_nothing_twice(feed) -> None:
+    tiles = {TileKey(k, k): np.full((TILE, TILE), k + 1, np.int32) for k in range(3 * FRAME_TILES)}
+    feed.take(bare(tiles))
     browser, screen, frames = feed.join(), Screen(), 0
     while (frame := browser.frame()) is not None:
         assert len(frame) < FRAME_TILES * 2100 + 2000
         screen.show(frame)
         frames += 1
-    assert frames == 3
+        assert {key: int(cells[0, 0]) for key, cells in screen.coarse.items()} == {key: key.ty + 1 for key in tiles}
+    assert frames == 1 + 3
     assert len(screen.tiles[FUSED]) == 3 * FRAME_TILES
+
+
+def test_of_four_cells_the_most_occupied_is_seen_from_afar_or_else_the_most_free() -> None:
+    cells = np.zeros((2, 4, 4), np.int16)
+    cells[0, :2, :2] = [[-5, -9], [1, 0]]
+    cells[0, :2, 2:] = [[-5, -9], [0, -1]]
+    cells[1, 2:, :2] = [[7, 3], [-800, 0]]
+    assert pooled(cells, 0) is cells
+    assert pooled(cells, 1).tolist() == [[[1, -9], [0, 0]], [[0, 0], [7, 0]]]
+    assert pooled(cells, 2).tolist() == [[[1]], [[7]]]
+
+
+def track(poses: int, hits: int, *, stride_mm: int = 20) -> Track:
+    """A track along x; of the hits only the newest three are there."""
+    trail = np.column_stack([np.arange(poses) * stride_mm, np.zeros((poses, 2), int)]).astype(np.int32)
+    points = np.column_stack([np.arange(hits)[-3:], np.zeros(min(hits, 3), int)]).astype(np.int32)
+    return Track(trail, stride_mm, trail[-1] if poses else None, points, hits)
+
+
+@given(st.lists(st.tuples(st.integers(0, 9), st.integers(0, 9), st.sampled_from([20, 40])), min_size=1, max_size=8))
+def test_a_track_is_that_of_its_time_wherever_one_jumps(times) -> None:
+    descriptor = Descriptor("r1", b"r1r1r1r1", RULES, orion(), QuantisedPose(0, 0, 0))
+    standing = Contribution(descriptor, n=1, summed=True, live=False, duplicate=False, reason="")
+    feed = Feed(Overview("lab", []))
+    browser, screen = feed.join(), Screen()
+    for poses, hits, stride_mm in times:
+        there = track(poses, hits, stride_mm=stride_mm)
+        view = SessionView(standing, 1, None, {}, there, 0.0, None, None)
+        feed.take(Snapshot(now=0.0, rules=RULES, fused={}, sessions=(view,), peers=(), bytes_rate=0.0, traffic=NOTHING))
+        screen.follow(browser)
+        assert screen.trails.get(descriptor.session.hex(), []) == there.trail.tolist()
+        assert screen.hits.get(descriptor.session.hex(), 0) == hits
 
 
 @given(st.lists(st.integers(-(2**31), 2**31 - 1), min_size=1, max_size=8))
 def test_evidence_beyond_16_bits_is_cut_and_keeps_its_sign(values) -> None:
-    feed = Feed("lab", [])
+    feed = Feed(Overview("lab", []))
     cells = np.zeros((TILE, TILE), np.int32)
     cells[0, : len(values)] = values
     feed.take(bare({TileKey(-1, 2): cells}))
@@ -172,11 +214,6 @@ def test_a_robot_without_a_start_pose_says_so(watched, straight, feed) -> None:
     watched.observer.set_start_pose("r9", QuantisedPose(1, 2, 3), watched.now)
     feed.take(Snapshots(watched.observer, watched.tracks, watched.heard).take(watched.now))
     assert feed.state["sessions"][0]["start"] == [1, 2, 3]
-
-
-def test_colours_are_those_of_the_roster(feed) -> None:
-    assert [feed.rgb(robot) for robot in ("r1", "r2", "stranger")] == [robot_colour(k) for k in range(3)]
-    assert feed.colour("r1") == "#0072b2"
 
 
 def test_the_history_thins_out_and_is_sent_once(feed) -> None:

@@ -4,10 +4,15 @@ from __future__ import annotations
 
 import pytest
 
-from agent.page_orders import MOST_WAITING, Evict, Orders, Place, parse
+from agent.page_orders import MOST_WAITING, Evict, Orders, Place, Play, Seek, parse
+from agent.page_source import PeerSource
 from mapping.pose import QuantisedPose
 
 SESSION = "7231723172317231"  # r1, four times
+
+
+def source_of(watched) -> PeerSource:
+    return PeerSource(watched.observer, watched.tracks, watched.heard)
 
 
 def test_good_orders_are_understood() -> None:
@@ -15,6 +20,8 @@ def test_good_orders_are_understood() -> None:
     assert parse("readmit", {"session": SESSION}) == Evict(b"r1r1r1r1", readmit=True)
     fields = {"robot": "r1", "x_mm": -5, "y_mm": 7, "yaw_turn16": 65536 + 3}
     assert parse("start-pose", fields) == Place("r1", QuantisedPose(-5, 7, 3))
+    assert parse("seek", {"seconds": 3}) == Seek(3.0)
+    assert parse("play", {"speed": 0.5}) == Play(0.5)
 
 
 @pytest.mark.parametrize(
@@ -30,6 +37,11 @@ def test_good_orders_are_understood() -> None:
         ("start-pose", {"robot": "r1", "x_mm": 0.5, "y_mm": 0, "yaw_turn16": 0}, "whole numbers"),
         ("start-pose", {"robot": "r1", "x_mm": True, "y_mm": 0, "yaw_turn16": 0}, "whole numbers"),
         ("start-pose", {"robot": "r1", "x_mm": 10**12, "y_mm": 0, "yaw_turn16": 0}, "from the origin"),
+        ("seek", {"seconds": -1}, "seconds: a number from 0"),
+        ("seek", {"seconds": float("nan")}, "seconds: a number"),
+        ("play", {"speed": True}, "speed: a number"),
+        ("play", {"speed": 1e9}, "to 1000"),
+        ("play", {"speed": 1, "seconds": 1}, "speed"),
     ],
 )
 def test_bad_orders_are_refused_with_a_reason(kind, fields, why) -> None:
@@ -45,12 +57,12 @@ def test_orders_take_effect_when_the_loop_takes_them(watched, straight) -> None:
     out = orders.give(Evict(session, readmit=False))
     assert not out.done()
     assert session not in watched.observer.controls.evicted
-    orders.carry_out(watched.observer, watched.now)
+    orders.carry_out(source_of(watched).obey, watched.now)
     assert out.result(0) is None
     assert session in watched.observer.controls.evicted
     orders.give(Evict(session, readmit=True))
     place = orders.give(Place("r1", QuantisedPose(1, 2, 3)))
-    orders.carry_out(watched.observer, watched.now)
+    orders.carry_out(source_of(watched).obey, watched.now)
     assert place.result(0) is None
     assert watched.observer.controls.start_pose("r1").pose == QuantisedPose(1, 2, 3)
     assert watched.observer.fusion.digest() == before
@@ -58,9 +70,13 @@ def test_orders_take_effect_when_the_loop_takes_them(watched, straight) -> None:
 
 def test_what_cannot_be_decided_is_told_and_changes_nothing(watched) -> None:
     orders = Orders()
-    strangers = [orders.give(Evict(b"stranger", readmit=False)), orders.give(Place("r9", QuantisedPose(0, 0, 0)))]
-    orders.carry_out(watched.observer, watched.now)
-    for each, why in zip(strangers, ("is not held here", "r9 is unknown"), strict=True):
+    strangers = [
+        orders.give(Evict(b"stranger", readmit=False)),
+        orders.give(Place("r9", QuantisedPose(0, 0, 0))),
+        orders.give(Seek(1.0)),
+    ]
+    orders.carry_out(source_of(watched).obey, watched.now)
+    for each, why in zip(strangers, ("is not held here", "r9 is unknown", "wound back"), strict=True):
         with pytest.raises(ValueError, match=why):
             each.result(0)
     assert len(watched.observer.controls) == 0

@@ -38,7 +38,7 @@ def test_peers_that_said_that_they_hold_the_same_are_known(watched, straight) ->
     watched.robot("r1")
     watched.sense("r1", straight(5))
     watched.talk(seconds=60)
-    assert [(peer.name, peer.robot, peer.same) for peer in snapshots.take(watched.now).peers] == [("r1", True, True)]
+    assert [peer[:3] for peer in snapshots.take(watched.now).peers] == [("r1", True, True)]
     watched.observer.evict(b"r1r1r1r1", watched.now)
     assert snapshots.take(watched.now).peers[0].same is False
     watched.observer.left("r1", watched.now)

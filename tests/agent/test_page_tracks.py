@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from agent.page_tracks import MOST_HITS, STRIDE_MM, hits
+from agent.page_tracks import MOST_HITS, MOST_POSES, STRIDE_MM, hits
 from mapping.scan import INVALID, NO_RETURN, Scans
 from mapping.sensor import Beam, Sensor
 
@@ -47,6 +47,36 @@ def test_what_was_handed_out_stays_as_it_was(watched, straight) -> None:
     assert (before.hits == kept[1]).all()
     with pytest.raises(ValueError, match="read-only"):
         before.trail[0] = 0
+
+
+def test_a_very_long_way_has_fewer_poses_to_the_metre(watched, straight) -> None:
+    session = watched.robot("r1")
+    for k in range(11):
+        scans = straight(1000, stride_mm=STRIDE_MM, first_ms=100_000 * k)
+        scans.poses[:, 0] += 1000 * STRIDE_MM * k
+        watched.sense("r1", scans)
+    track = watched.tracks.of(session)
+    assert MOST_POSES / 2 < len(track.trail) <= MOST_POSES
+    assert track.stride_mm == 2 * STRIDE_MM
+    assert (np.diff(track.trail[:, 0]) == track.stride_mm).all()
+    assert track.trail[0].tolist() == [0, 0, 0]
+
+
+def test_a_copy_stays_and_goes_on_as_the_first_did(watched, straight) -> None:
+    session = watched.robot("r1")
+    watched.sense("r1", straight(60))
+    copy = watched.tracks.copy()
+    kept = copy.of(session).trail.copy()
+    watched.listeners.append(copy)
+    for k in range(2):  # once more in the same place
+        watched.sense("r1", straight(1, y_mm=5, first_ms=8000 + 100 * k))
+    more = straight(60, y_mm=30, first_ms=10_000)
+    watched.sense("r1", more)
+    assert len(kept) < len(copy.of(session).trail)
+    assert (copy.of(session).trail == watched.tracks.of(session).trail).all()
+    other = copy.copy()
+    watched.sense("r1", straight(60, y_mm=90, first_ms=20_000))
+    assert len(other.of(session).trail) < len(watched.tracks.of(session).trail)
 
 
 def test_only_the_newest_hits_are_kept(watched, straight) -> None:

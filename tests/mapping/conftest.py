@@ -146,18 +146,18 @@ def kernel(request: pytest.FixtureRequest) -> Callable:
     return (raster if request.param == "numpy" else _compiled()).raster
 
 
-def _strokes_alone(rays: Rays, model: EvidenceModel) -> Evidence:
+def _canvas_alone(rays: Rays, model: EvidenceModel) -> Evidence:
     """What NumPy makes of many rays, whatever their number."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(raster, "_FEW_RAYS", 0)
+        patch.setattr(raster, "_FEW", 0)
         return raster.raster_rays(rays, model)
 
 
-@pytest.fixture(scope="session", params=["numpy", "numpy, strokes alone", "compiled"])
+@pytest.fixture(scope="session", params=["numpy", "numpy, canvas alone", "compiled"])
 def drawn(request: pytest.FixtureRequest) -> Callable:
     """Each kernel in turn: the evidence of rays."""
-    if request.param == "numpy, strokes alone":
-        return _strokes_alone
+    if request.param == "numpy, canvas alone":
+        return _canvas_alone
     return (raster if request.param == "numpy" else _compiled()).raster_rays
 
 

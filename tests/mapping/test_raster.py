@@ -8,12 +8,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mapping import raster as module
+from mapping.canvas import box_of
 from mapping.evidence import EvidenceModel
 from mapping.lattice import MAX_RAY_CELLS, Lattice
 from mapping.rays import Rays
 from mapping.scan import Scans
 from mapping.sensor import orion
-from mapping.strokes import Box, box_of, strokes_of
 from mapping.tiles import added, map_digest
 
 MODEL = EvidenceModel()
@@ -151,30 +151,41 @@ def test_sums_beyond_int32_wrap_around_without_a_word_and_in_any_order(drawn, si
 
 @given(rays_in_places)
 @few
-def test_grouping_keeps_every_stroke_in_order_and_every_box_is_worth_its_area(several):
-    strokes = strokes_of(rays_between(*several))
-    halves = [half for half in np.array_split(strokes, 2) if len(half)]
-    groups = list(module._grouped([(half, box_of(half)) for half in halves], box_of))
-    joined = [row for together, _ in groups for part in together for row in part.tolist()]
-    assert joined == strokes.tolist()
-    for together, box in groups:
-        visits = sum(int(part["visits"].sum()) for part in together)
-        assert box == Box.around([box_of(part) for part in together])
-        assert sum(map(len, together)) == 1 or box.area <= 2**16 + 64 * visits
+def test_every_canvas_is_worth_its_area(several):
+    rays, areas = rays_between(*several), []
+
+    def noted(box):
+        areas.append(box.area)
+        return canvas(box)
+
+    canvas = module.Box.canvas
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(module.Box, "canvas", noted)
+        patch.setattr(module, "_FEW", 0)
+        module.raster_rays(rays, MODEL)
+    assert all(area <= 2**16 + 64 * int((rays.steps + 1).sum()) for area in areas)
 
 
 @given(st.integers(0, 4095), st.integers(0, 4095))
 @few
-def test_no_single_stroke_needs_a_large_box(di, dj):
-    strokes = strokes_of(rays_between(((31, 31), (31 + di, 31 - dj), True)))
-    assert max(box_of(strokes[k : k + 1]).area for k in range(len(strokes))) <= (9 * 32) ** 2
+def test_no_single_ray_needs_a_large_canvas(drawn, law, di, dj):
+    ray = ((31, 31), (31 + di, 31 - dj), True)
+    drawn(rays_between(ray), MODEL)  # compiled, if need be
+    tracemalloc.start()
+    try:
+        evidence = drawn(rays_between(ray), MODEL)
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert peak < 4 << 20
+    assert law.known(evidence) == law.evidence([ray], MODEL.occupied, MODEL.free)
 
 
 def test_a_robot_that_is_carried_100_km_costs_no_memory(drawn, law):
     """Their common box has 15 thousand million tiles; the few that are touched are all that is held."""
     here, there = ((0, 0), (20, 5), True), ((4_000_000, -4_000_000), (4_000_003, -4_000_020), True)
     rays = rays_between(*([here] * 50 + [there] * 50) * 3)
-    assert box_of(strokes_of(rays)).area > 10**13
+    assert box_of(rays).area > 10**13
     drawn(rays, MODEL)  # compiled, if need be
     tracemalloc.start()
     try:

@@ -171,8 +171,11 @@ class Command:
 
     @property
     def errors(self) -> str:
-        """What it has written to standard error."""
-        return self._errors.read_text()
+        """What it has written to standard error, news as a person would have it in a terminal."""
+        return "".join(
+            f"orion: {json.loads(line)['message']}\n" if line.startswith("{") and line.endswith("}\n") else line
+            for line in self._errors.read_text().splitlines(keepends=True)
+        )
 
     def close(self) -> None:
         """Make sure that it is gone."""

@@ -26,7 +26,7 @@ from selenium.webdriver.remote.webelement import WebElement
 CHROMIUM, DRIVER = shutil.which("chromium"), shutil.which("chromedriver")
 DESKTOP, PHONE = (1280, 800), (390, 844)
 BLOCK = 256
-ESCAPE = Keys.ESCAPE
+ESCAPE, HOME = Keys.ESCAPE, Keys.HOME
 
 _FLAGS = (
     "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
@@ -48,14 +48,16 @@ class Viewer:
     Args:
         folder: for the browser's own files.
         shots: where pictures of the page are kept, or None.
+        note_hosts: whether to note what is asked of whom; it makes a copy of all that comes, which takes time.
     """
 
-    def __init__(self, folder: Path, shots: Path | None) -> None:
+    def __init__(self, folder: Path, shots: Path | None, *, note_hosts: bool = True) -> None:
         options = Options()
         options.binary_location = str(CHROMIUM)
         for flag in (*_FLAGS, f"--user-data-dir={folder}"):
             options.add_argument(flag)
-        options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
+        logs = {"browser": "ALL"} | ({"performance": "ALL"} if note_hosts else {})
+        options.set_capability("goog:loggingPrefs", logs)
         self.driver = webdriver.Chrome(options=options, service=Service(str(DRIVER)))
         self._shots = shots
         self._asked: set[str] = set()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import json
 import math
+import signal
 import urllib.request
 from pathlib import Path
 from typing import Any
@@ -12,12 +13,18 @@ from typing import Any
 import numpy as np
 import pytest
 
+from agent.log_reader import LogReader
 from agent.page_server import BUNDLE
 from agent.playback import read
+from mapping.evidence import EvidenceModel
 from mapping.grid import Grid
+from mapping.lattice import Lattice
 from mapping.map_archive import decode_npz
 from mapping.map_picture import brightness
 from mapping.pose import Pose
+from swarm.messages import Hello
+from swarm.peer import Peer
+from swarm.session import Rules
 
 pytestmark = [pytest.mark.processes, pytest.mark.browser]
 
@@ -91,6 +98,12 @@ class Bench:
         return int((self.viewer.find("#legend .note").text or "0").split()[0])
 
 
+def draws(viewer: Any, grid: Grid) -> bool:
+    """Whether the page shows that map, in grey, cell for cell."""
+    pixels = viewer.pixels(".layer-map", grid.i0, grid.j0, *grid.evidence.shape)
+    return bool((pixels[..., :3] == brightness(grid)[::-1, :, None]).all() and (pixels[..., 3] == 255).all())
+
+
 @pytest.fixture
 def hands():
     """The module beside this one, which wants selenium."""
@@ -150,15 +163,107 @@ def test_a_person_sees_the_map_cell_for_cell_and_corrects_it(orion, swarm, lab, 
     viewer.until(lambda: "has ended" in viewer.find("#banner").text, PATIENCE)
     bench.await_map(**RIGHT)  # it stays
     viewer.shot("ended")
-    assert viewer.complaints() == []
+    assert {message for message in viewer.complaints() if "ERR_CONNECTION_REFUSED" not in message} == set()
     assert viewer.hosts_asked() == {bench.url.split("/")[2]}
+
+
+def test_the_page_outlives_its_observer_and_finds_the_next_one(orion, swarm, lab, truth, viewer) -> None:
+    words = ("observe", "-c", lab, "--supervised", "--page", "--port", swarm.base_port + 7)
+
+    def stands(standing: str) -> None:
+        shown = (
+            'return document.documentElement.dataset.standing + (document.getElementById("banner").hidden ? "" : "!")'
+        )
+        viewer.until(lambda: viewer.driver.execute_script(shown) == standing, PATIENCE)
+
+    watch = orion(*words)
+    bench = Bench(watch.says(lambda event: event["event"] == "page")["url"], viewer, truth, swarm.folder)
+    agents = [orion("agent", "-c", lab, "--robot", name, "--supervised") for name in ROBOTS]
+    for agent in agents:
+        agent.is_ready()
+        agent.order("go")
+    viewer.open(bench.url)
+    bench.await_map(**WRONG)
+    bench.grid = decode_npz(bench.ask("api/map.npz"))
+    viewer.choose("#palette", "grey")
+    stands("live")
+    watch.signal(signal.SIGKILL)
+    stands("lost!")
+    viewer.shot("lost")
+    assert viewer.until(lambda: draws(viewer, bench.grid), PATIENCE)
+    watch = orion(*words)
+    stands("live")
+    bench.await_map(**WRONG)
+    watch.finish()
+    stands("ended!")
+    assert viewer.until(lambda: draws(viewer, bench.grid), PATIENCE)
+    orion(*words).is_ready()
+    stands("live")
+    bench.await_map(**WRONG)
+    assert {message for message in viewer.complaints() if "ERR_CONNECTION_REFUSED" not in message} == set()
+
+
+def test_a_log_is_shown_as_it_was_at_any_time(orion, swarm, processes, lab, viewer, hands) -> None:
+    log, port = swarm.folder / "run.mcap", swarm.base_port + 7
+    observer = orion("observe", "-c", lab, "--supervised", "--no-page", "--record", log)
+    agents = [orion("agent", "-c", lab, "--robot", name, "--supervised") for name in ROBOTS]
+    for agent in [observer, *agents]:
+        agent.is_ready()
+    observer.shows("around", len(ROBOTS))
+    for agent in agents:
+        agent.order("go")
+    for agent in agents:
+        agent.shows("done", value=True)
+    observer.hears_no_more()
+    recorded = observer.finish()
+    for agent in agents:
+        agent.finish()
+
+    def at(seconds: float) -> Grid:
+        """The map of a peer that heard only what had been recorded until then."""
+        peer, began = (
+            Peer(Hello(0, b"t", b""), Rules(Lattice.of(CELL), EvidenceModel()), seed=b"t", mtu=32768, now=0),
+            None,
+        )
+        for log_ns, told in LogReader(log).told():
+            began = log_ns if began is None else began
+            if (log_ns - began) / 1e9 <= seconds:
+                peer.repeat(told, 0.0)
+        return Grid.of(peer.fusion.tiles, peer.rules.lattice)
+
+    def shows(digest: str) -> None:
+        viewer.until(lambda: viewer.find("#digest").get_attribute("data-digest") == digest, PATIENCE)
+
+    show = orion("log", "show", log, "--port", port, "--no-open")
+    processes.until(lambda: f"127.0.0.1:{port}" in show.errors)
+    viewer.open(f"http://127.0.0.1:{port}/")
+    shows(recorded["map_digest"])
+    viewer.choose("#palette", "grey")
+    viewer.until(lambda: draws(viewer, at(math.inf)), PATIENCE)
+    assert not viewer.find(".robot-card .evict").is_displayed()
+    viewer.shot("log")
+    duration = float(viewer.find("#time").get_attribute("max"))
+    for share in (0.6, 0.3, 0.8):
+        viewer.type("#time", str(share * duration))
+        then = at(share * duration)
+        shows(then.digest().hex())
+        viewer.until(lambda then=then: draws(viewer, then), PATIENCE)
+        viewer.shot(f"log-{share}")
+    viewer.press(hands.HOME)
+    shows(at(0.0).digest().hex())
+    viewer.press(" ")
+    viewer.until(lambda: viewer.find("#play").get_attribute("data-playing") == "true", PATIENCE)
+    shows(recorded["map_digest"])
+    viewer.until(lambda: viewer.find("#play").get_attribute("data-playing") == "false", PATIENCE)
+    show.signal(signal.SIGINT)
+    assert show.ends() == 0
+    viewer.until(lambda: "log is closed" in viewer.find("#banner").text, PATIENCE)
 
 
 def the_map_is_drawn_cell_for_cell(bench: Bench) -> None:
     bench.grid = decode_npz(bench.ask("api/map.npz"))
     bench.viewer.choose("#palette", "grey")
-    bench.viewer.until(lambda: np.all(bench.pixels(".layer-map")[..., 3] == 255), PATIENCE)
-    assert (bench.pixels(".layer-map")[..., :3] == brightness(bench.grid)[::-1, :, None]).all()
+    bench.viewer.until(lambda: draws(bench.viewer, bench.grid), PATIENCE)
     bench.viewer.choose("#palette", "paper")
 
 

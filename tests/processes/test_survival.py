@@ -121,3 +121,37 @@ def test_a_robot_that_restarts_opens_a_new_session_beside_its_old_one(orion, swa
     assert len(positions) == len(files) == 2
     first_scans = truth.digests_after_each_scan(read(swarm.folder / "r1.log")[0], CELL)
     assert all(truth.in_file(path) in first_scans[1:-1] for path in files.values())
+
+
+@BUSES
+def test_when_all_robots_are_gone_newcomers_get_the_map_from_an_observer_that_has_a_table(
+    orion, swarm, roster, truth
+) -> None:
+    """With its state, after a restart of its own; from one without a table nobody who comes later could get it."""
+    with roster.open("a") as file:
+        file.write("\n[observers.base]\n")
+    base = ("observe", "-c", roster, "--name", "base", "--state", swarm.folder / "state", "--supervised")
+    observer = orion(*base)
+    observer.is_ready()
+    robots = [orion("agent", "-c", roster, "--robot", name, "--supervised") for name in ("r2", "r3")]
+    for robot in robots:
+        robot.is_ready()
+        robot.order("go")
+    known = observer.hears_no_more(quiet=1.0)
+    assert len(known) == 2
+    for robot in robots:
+        robot.signal(signal.SIGKILL)
+        robot.ends()
+    observer.signal(signal.SIGKILL)
+    observer.ends()
+    observer = orion(*base)
+    observer.is_ready()
+
+    late = orion("observe", "-c", roster, "--out", swarm.folder / "late", "--supervised")
+    late.is_ready()
+    late.knows(lambda positions: positions == known)
+    views = [late.finish(), observer.finish()]
+    assert views[0]["map_digest"] == views[1]["map_digest"]
+    for name in ("r2", "r3"):
+        recording = read(swarm.folder / f"{name}.log")[0]
+        assert truth.in_file(swarm.folder / "late" / f"map-{name}.npz") == truth.digest_of([recording], CELL)

@@ -8,13 +8,12 @@ from __future__ import annotations
 import hashlib
 import math
 import random
-import shutil
 from collections import Counter, defaultdict
 from dataclasses import dataclass
 from functools import partial
 from itertools import count, permutations
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,13 +27,13 @@ from mapping.lattice import Lattice
 from mapping.pose import QuantisedPose
 from mapping.scan import Scans
 from mapping.sensor import Beam, Sensor
-from swarm.drops import Drop
-from swarm.messages import Control, Hello, Session, Update, decode
+from swarm.messages import Control, Hello, Update
 from swarm.peer import Peer
 from swarm.radio import PROFILES
 from swarm.session import Descriptor, Rules, SessionId
 from swarm.writer import Publish
 from tests.scenarios import oracle
+from tests.scenarios.damage import Damage, damaged, is_a_lie, kill, mutated
 from tests.scenarios.laws import Broken, Chronicle, Laws, conserved
 from tests.scenarios.oracle import Entry, Start
 from transport.bus import Answers, Message
@@ -44,12 +43,9 @@ from transport.in_process import InProcessBus, Link, Network
 if TYPE_CHECKING:
     from tests.scenarios.schedule import Schedule
 
-Damage = Literal["none", "lost", "truncated", "flipped"]
-"""What becomes of a state file when its process dies."""
-
 SENSOR = Sensor(tuple(Beam(0, 0, bearing) for bearing in oracle.BEARINGS), oracle.MAX_RANGE_MM)
 RULES = Rules(Lattice(oracle.CELL_MM), EvidenceModel(oracle.OCCUPIED, oracle.FREE))
-TICK = 0.002
+TICK = 0.01
 """Seconds that a peer is busy before it listens again."""
 STRANGER = "mallory"
 REMEMBERED = 300
@@ -337,7 +333,8 @@ class Arena:
             return
         self._account(who, process)
         self._gone(process.tap)
-        self.laws.forget_decisions_of(who)
+        if damage != "none" or not process.role.remembers:
+            self.laws.forget_decisions_of(who)
         self.network.crash(process.tap.peer)
         if isinstance(process.keeper, Keeper):
             self._lives_on_disk[who] += 1
@@ -499,8 +496,6 @@ class Arena:
 
     def agree(self) -> bool:
         """Whether all have all updates of the same sessions as those they can hear, and nothing is unpublished."""
-        if any(process.busy for process in self.processes.values()):
-            return False
         for circle in self.circles():
             if len({process.peer.controls.check for process in circle.values()}) > 1:
                 return False
@@ -510,7 +505,7 @@ class Arena:
             for held in others:
                 if held.keys() != first.keys() or any(held[key].state.n != first[key].state.n for key in first):
                     return False
-        return True
+        return not any(process.busy for process in self.processes.values())
 
     def settle(self, limit: float) -> float:
         """Let time pass until all agree; gives how much did.
@@ -519,6 +514,7 @@ class Arena:
             Broken: it was more than the limit.
         """
         begin, self.moved = self.network.now, True
+        self._turns()  # what has just happened is known to whom it happened
         while not (self.moved and self.agree()):
             if self.network.now >= begin + limit:
                 raise Broken("all agree", f"not within {limit:g} s: {self._positions()}")
@@ -588,41 +584,3 @@ class Arena:
             f"{who} {[replica.state.n for _, replica in sorted(process.peer.replicas.items())]}"
             for who, process in self.processes.items()
         )
-
-
-def mutated(payload: bytes, chance: random.Random) -> bytes:
-    """The payload with a few bytes changed, sometimes cut short, never longer."""
-    changed = bytearray(payload)
-    for _ in range(chance.randint(1, 3)):
-        changed[chance.randrange(len(changed))] = chance.randrange(256)
-    return bytes(changed[: chance.randint(1, len(changed))] if chance.random() < 0.2 else changed)
-
-
-def is_a_lie(payload: bytes) -> bool:
-    """Whether a damaged payload states a fact that only its author can know: without keys it would be believed."""
-    try:
-        return isinstance(decode(payload), Session | Control)
-    except Drop:
-        return False
-
-
-def kill(keeper: Keeper, folder: Path) -> None:
-    """Leave of a keeper's file what a killed process leaves: what was written by then, in another folder."""
-    shutil.copytree(keeper.path.parent, folder, ignore=shutil.ignore_patterns("*.lock", "*-shm"))
-    keeper.close()
-    shutil.rmtree(keeper.path.parent)
-
-
-def damaged(path: Path, damage: Damage, chance: random.Random) -> None:
-    """Damage a state file, and the log beside it."""
-    if damage == "lost":
-        shutil.rmtree(path.parent)
-        return
-    for part in sorted(path.parent.glob(f"{path.name}*")):
-        content = bytearray(part.read_bytes())
-        if damage == "truncated":
-            del content[chance.randint(0, len(content)) :]
-        elif damage == "flipped" and content:
-            for _ in range(round(10 ** chance.uniform(0, 2))):
-                content[chance.randrange(len(content))] ^= 1 << chance.randrange(8)
-        part.write_bytes(content)

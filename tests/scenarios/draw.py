@@ -8,7 +8,7 @@ from collections.abc import Callable
 from itertools import pairwise
 
 from swarm.writer import Publish
-from tests.scenarios.arena import Damage
+from tests.scenarios.damage import Damage
 from tests.scenarios.events import (
     Corrupt,
     Crash,
@@ -156,6 +156,20 @@ def _homecoming(chance: random.Random, robots: list[str], peers: list[str], last
     ]
 
 
+def _verdicts(chance: random.Random, robots: list[str], peers: list[str], lasts: float) -> list[Event]:
+    """Somebody with a memory decides while nobody hears it, crashes, and comes back."""
+    by, at = "judge", _time(chance, 0.5, 2.0)
+    decision = chance.choice([Evict(at, by, chance.randrange(3)), SetStart(at, by, robots[0], 2)])
+    return [
+        Join(0.0, by, remembers=True),
+        Partition(at - 0.01, ((by,),)),
+        decision,
+        Crash(at + chance.choice([0.0, 0.001, 0.01, 0.3]), by),
+        Return(at + 1.0, by),
+        Heal(at + 1.5),
+    ]
+
+
 def _damage(chance: random.Random, robots: list[str], peers: list[str], lasts: float) -> list[Event]:
     """A robot comes back with a damaged memory."""
     robot = "hurt"
@@ -170,6 +184,16 @@ def _damage(chance: random.Random, robots: list[str], peers: list[str], lasts: f
 
 def _corruption(chance: random.Random, robots: list[str], peers: list[str], lasts: float) -> list[Event]:
     return [Corrupt(_time(chance, 0.0, lasts / 2), round(chance.uniform(0.01, 0.3), 2))]
+
+
+def _whole_tiles(chance: random.Random, robots: list[str], peers: list[str], lasts: float) -> list[Event]:
+    """A robot says whole tiles, which fit wherever they come, and much of it is damaged on the way."""
+    who = "painter"
+    return [
+        Join(0.0, who, who, chance.randrange(len(STARTS)), publish="tiles"),
+        Corrupt(0.0, round(chance.uniform(0.2, 0.5), 2)),
+        Sense(0.1, who, _some_sightings(chance, 25, least=10), 0.06),
+    ]
 
 
 def _time(chance: random.Random, first: float, last: float) -> float:
@@ -197,6 +221,8 @@ FAULTS: dict[str, Draw] = {
     "homecoming": _homecoming,
     "damage": _damage,
     "withdrawals": _withdrawals,
+    "verdicts": _verdicts,
+    "whole-tiles": _whole_tiles,
 }
 """What can go wrong beside the links, each with a way to draw it."""
 

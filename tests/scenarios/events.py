@@ -12,7 +12,8 @@ from typing import Literal, Protocol
 
 from swarm.writer import Publish
 from tests.scenarios import oracle
-from tests.scenarios.arena import Arena, Damage, Role, is_a_lie, mutated
+from tests.scenarios.arena import Arena, Role
+from tests.scenarios.damage import Damage, is_a_lie, mutated
 from transport.in_process import Link
 
 

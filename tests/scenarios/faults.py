@@ -28,8 +28,9 @@ from swarm.messages import Control, Manifest, Mark, TilesMessage, Update
 from swarm.outbox import Outbox
 from swarm.peer import Peer
 from swarm.replica import CHECKPOINT, Replica
-from swarm.state import State, changed_tiles
+from swarm.state import State, changed_tiles, state_check
 from swarm.tile_block import decode_tiles
+from swarm.trickle import Trickle
 from swarm.writer import Writer
 
 Fault = Callable[[], AbstractContextManager[None]]
@@ -164,6 +165,34 @@ def accept_a_tile_unchecked(right, catch_up, message: TilesMessage):
     return len(catch_up._missing) < before
 
 
+@planted(State, "verified")
+def take_a_state_before_its_root_is_checked(right, n, marks, cells, root):
+    """What a manifest or a file says of a state is believed, as long as each tile is what it should be."""
+    return State(n, cells, marks, state_check(n, marks))
+
+
+@planted(State, "root")
+def leave_the_number_out_of_the_root(right, state):
+    """A state proves true under any number."""
+    return right(replace(state, n=0))
+
+
+@planted(Replica, "_apply")
+def leave_the_number_out_of_the_check(right, replica, update):
+    """An update counts as the next one if it leads where its writer went, whichever it is."""
+    step = replica.state.step(changed_tiles(replica.state, update, replica.descriptor, replica._kernel))
+    if any((step.check - step.n - update.check + n) % 2**64 == 0 for n in range(200)):
+        return replica._commit(update, step)
+    raise Drop("bad_check")
+
+
+@planted(Trickle, "poll")
+def say_no_digests(right, trickle, now):
+    """Nobody says what it holds but to those who come."""
+    right(trickle, now)
+    return False
+
+
 @planted(Peer, "_digest")
 def ignore_a_digests_session(right, peer, sender, digest, now):
     """What a digest says of sessions that are not known is passed over."""
@@ -242,6 +271,13 @@ def lose_the_journals_tail(right, path, run, sensor):
 def say_before_it_is_kept(right, keeper, peer, sessions, now):
     """What is published is written down only now and then, like everything else."""
     if now >= keeper._look_at:
+        right(keeper, peer, sessions, now)
+
+
+@planted(Keeper, "keep")
+def keep_decisions_only_now_and_then(right, keeper, peer, sessions, now):
+    """An operator's decision is written down when it suits."""
+    if now >= keeper._look_at or (peer.writer is not None and keeper._index.lacks(peer.writer.replica)):
         right(keeper, peer, sessions, now)
 
 

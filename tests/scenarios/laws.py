@@ -76,9 +76,12 @@ class Laws:
         self.updates += 1
 
     def published(self, session: SessionId, journal: Sequence[Entry], withdrawn: Collection[int]) -> None:
-        """A writer has published all of its journal: its map is that of what it saw."""
+        """A writer has published all of its journal: its map is that of what it saw.
+
+        Whoever does not know where it started does not know either what stood in its way: it withdraws nothing yet.
+        """
         chronicle = self.chronicles[session]
-        right = oracle.integrate(journal, chronicle.start or oracle.ORIGIN, withdrawn)
+        right = oracle.integrate(journal, chronicle.start or oracle.ORIGIN, withdrawn if chronicle.start else ())
         if not oracle.equal(chronicle.states[-1][0], right):
             raise Broken("a scan is worth the same everywhere", f"{chronicle.writer} published another map than it saw")
 
@@ -125,7 +128,7 @@ class Laws:
         if state.cells.keys() != cells.keys() or state.marks != marks:
             raise Broken("a true past state", f"{what} at {state.n} has other tiles or versions than its writer had")
         wrong = [key for key in changed & cells.keys() if not oracle.equal({key: state.cells[key]}, {key: cells[key]})]
-        if wrong or state.check != sum(mark.hash for mark in marks.values()) % 2**64:
+        if wrong or state.check != (state.n + sum(mark.hash for mark in marks.values())) % 2**64:
             raise Broken("a true past state", f"{what} at {state.n} differs from its writer's in tiles {wrong}")
 
     def _summed(self, name: str, peer: Peer, touched: set[Tile]) -> None:
@@ -140,7 +143,7 @@ class Laws:
         bounds = {
             "peers": (len(peer.peers), peers),
             "unfinished messages": (peer._joiner._bytes, MAX_PART_BYTES),
-            "pursuits": (len(peer._catch_ups), len(self.chronicles) + GHOSTS),
+            "pursuits": (len(peer._pursuits), len(self.chronicles) + GHOSTS),
             "copies": (len(peer.replicas), len(self.chronicles)),
         }
         for session, replica in peer.replicas.items():
@@ -188,7 +191,7 @@ class Laws:
                 raise Broken("a true past state", f"{name} holds a copy whose marks are wrong")
 
     def forget_decisions_of(self, who: str) -> None:
-        """Who decided something died: if nobody had heard of it yet, it died too."""
+        """Who decided something died and keeps no state: if nobody had heard of it yet, it died too."""
         self.controls = [("" if by == who else by, control) for by, control in self.controls]
 
     def _decided(self, peers: dict[str, Peer]) -> set[SessionId]:
@@ -220,8 +223,8 @@ def _summands(peer: Peer) -> list[Replica]:
     ]
 
 
-GHOSTS = 64
-"""Sessions that nobody has and hostile messages speak of: more pursuits than these at once would be too many."""
+GHOSTS = 256
+"""Sessions that nobody has and damaged messages speak of: more pursuits than these at once would be too many."""
 
 
 class _Seen:

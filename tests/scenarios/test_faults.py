@@ -12,17 +12,21 @@ from tests.scenarios.laws import Broken
 from tests.scenarios.schedule import run
 
 CAUGHT: dict[str, tuple[str, int]] = {
-    "apply-an-update-out-of-order": ("corruption", 3),
-    "skip-the-state-check": ("corruption", 11),
+    "apply-an-update-out-of-order": ("corruption", 4),
+    "skip-the-state-check": ("corruption", 9),
     "half-apply-an-update": ("starts", 0),
     "forget-to-drain-what-came-early": ("weather", 0),
-    "apply-an-update-twice": ("hostile", 12),
+    "apply-an-update-twice": ("hostile", 3),
     "trim-the-ring-past-the-checkpoint": ("late", 0),
     "answer-a-want-from-a-newer-state": ("late", 1),
     "forget-a-version-in-a-manifest": ("late", 0),
     "serve-only-what-is-ones-own": ("late", 4),
     "never-trim-the-ring": ("late", 0),
-    "accept-a-tile-unchecked": ("late", 5),
+    "accept-a-tile-unchecked": ("late", 8),
+    "take-a-state-before-its-root-is-checked": ("late", 8),
+    "leave-the-number-out-of-the-root": ("late", 8),
+    "leave-the-number-out-of-the-check": ("whole-tiles", 11),
+    "say-no-digests": ("weather", 0),
     "ignore-a-digests-session": ("late", 0),
     "count-an-update-twice": ("starts", 0),
     "keep-evicted-evidence": ("decisions", 0),
@@ -31,6 +35,7 @@ CAUGHT: dict[str, tuple[str, int]] = {
     "continue-a-session-after-a-restart": ("crashes", 0),
     "lose-the-journals-tail": ("homecoming", 0),
     "say-before-it-is-kept": ("homecoming", 0),
+    "keep-decisions-only-now-and-then": ("verdicts", 0),
     "lose-a-scan": ("starts", 0),
     "forget-to-count-what-was-said": ("late", 0),
 }

@@ -266,10 +266,10 @@ class State:
         assert self.check() == check
 
     def check(self) -> int:
-        return sum(tile_hash(key, tile) for key, tile in self.tiles.items()) % 2**64
+        return (self.n + sum(tile_hash(key, tile) for key, tile in self.tiles.items())) % 2**64
 
     def root(self) -> str:
-        whole = b"".join(
+        whole = struct.pack("<I", self.n) + b"".join(
             struct.pack("<iiIQ", *key, self.versions[key], tile_hash(key, self.tiles[key]))
             for key in sorted(self.tiles)
         )

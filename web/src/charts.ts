@@ -8,17 +8,19 @@ export class Charts {
   private readonly area: uPlot;
   private readonly traffic: uPlot;
   private drawn = 0;
+  private at: number | null = null; // of a log: the time that is shown
 
   constructor(private readonly store: Store) {
-    this.area = chart($("area"), "known", (value) => `${value.toFixed(value < 10 ? 1 : 0)} m²`);
-    this.traffic = chart($("traffic"), "heard", (value) => bytes(value));
+    this.area = chart($("area"), "known", (value) => `${value.toFixed(value < 10 ? 1 : 0)} m²`, () => this.at);
+    this.traffic = chart($("traffic"), "heard", (value) => bytes(value), () => this.at);
     new ResizeObserver(() => this.resize()).observe($("charts"));
   }
 
-  update(force = false): void {
+  update(): void {
     const rows = this.store.history;
-    if (rows.length === this.drawn && !force) return;
-    this.drawn = rows.length;
+    const at = this.store.state?.timeline?.seconds ?? null;
+    if (rows.length === this.drawn && at === this.at) return;
+    [this.drawn, this.at] = [rows.length, at];
     const times = rows.map((row) => row[0]);
     this.area.setData([times, rows.map((row) => row[1])]);
     this.traffic.setData([times, rows.map((row) => row[2])]);
@@ -40,7 +42,7 @@ function colour(name: string): string {
   return getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 }
 
-function chart(into: HTMLElement, label: string, words: (value: number) => string): uPlot {
+function chart(into: HTMLElement, label: string, words: (value: number) => string, at: () => number | null): uPlot {
   const axis = { stroke: () => colour("--dim"), font: "11px system-ui", ticks: { show: false } };
   const grid = { stroke: () => colour("--line"), width: 1 };
   return new uPlot(
@@ -58,7 +60,16 @@ function chart(into: HTMLElement, label: string, words: (value: number) => strin
         { ...axis, grid: { show: false }, size: 22, values: (_, ticks) => ticks.map((tick) => (tick < 120 ? `${tick} s` : `${Math.round(tick / 6) / 10} min`)) },
         { ...axis, grid, size: 58, space: 28, values: (_, ticks) => ticks.map(words) },
       ],
-      hooks: {},
+      hooks: {
+        draw: [
+          ({ ctx, bbox, valToPos }) => {
+            const seconds = at();
+            if (seconds === null) return;
+            ctx.fillStyle = colour("--ink");
+            ctx.fillRect(Math.round(valToPos(seconds, "x", true)), bbox.top, devicePixelRatio, bbox.height);
+          },
+        ],
+      },
     },
     [[], []],
     into,

@@ -35,6 +35,14 @@ export function seconds(age: number): string {
   return age < 2 ? "now" : age < 120 ? `${Math.round(age)} s` : age < 7200 ? `${Math.round(age / 60)} min` : `${Math.round(age / 3600)} h`;
 }
 
+/** Seconds as m:ss, or h:mm:ss. */
+export function clock(time: number): string {
+  const whole = Math.floor(time);
+  const [hours, minutes] = [Math.floor(whole / 3600), Math.floor(whole / 60) % 60];
+  const rest = String(whole % 60).padStart(2, "0");
+  return hours ? `${hours}:${String(minutes).padStart(2, "0")}:${rest}` : `${minutes}:${rest}`;
+}
+
 /** Ask before something is done; gives whether it shall be. */
 export function confirmed(title: string, lines: string[], action: string, danger = false): Promise<boolean> {
   const dialog = $<HTMLDialogElement>("dialog");
@@ -44,6 +52,7 @@ export function confirmed(title: string, lines: string[], action: string, danger
       dialog.close();
       resolve(yes);
     };
+    dialog.setAttribute("aria-label", title);
     dialog.replaceChildren(
       make("h2", {}, title),
       ...lines.map((line) => make("p", {}, line)),
@@ -62,6 +71,7 @@ export function confirmed(title: string, lines: string[], action: string, danger
 export function told(title: string, ...children: Child[]): void {
   const dialog = $<HTMLDialogElement>("dialog");
   dialog.onclose = null;
+  dialog.setAttribute("aria-label", title);
   dialog.replaceChildren(
     make("h2", {}, title),
     ...children.filter((child): child is Node | string => Boolean(child)),
@@ -70,20 +80,40 @@ export function told(title: string, ...children: Child[]): void {
   if (!dialog.open) dialog.showModal();
 }
 
-/** A decision is sent; what is wrong with it is told. */
-export async function order(kind: string, fields: object): Promise<boolean> {
-  let what: string;
+/** Ask the server for something; what is wrong with it is told. Gives whether it was done. */
+export async function post(what: string, fields: object): Promise<boolean> {
+  let why: string;
   try {
-    const response = await fetch(`api/${kind}`, {
+    const response = await fetch(`api/${what}`, {
       method: "POST",
       headers: { "content-type": "application/json" },
       body: JSON.stringify(fields),
     });
     if (response.ok) return true;
-    what = ((await response.json()) as { error: string }).error;
+    why = ((await response.json()) as { error: string }).error;
   } catch {
-    what = "The observer cannot be reached.";
+    why = "The observer cannot be reached.";
   }
-  told("That was not done", make("p", {}, what));
+  told("That was not done", make("p", {}, why));
   return false;
+}
+
+/** Do something at most once in so many milliseconds: at once if it was long ago, else when they are over. */
+export function seldom(wait: number, deed: () => void): () => void {
+  let free = 0;
+  let due = false;
+  return () => {
+    if (due) return;
+    const left = free - performance.now();
+    const now = (): void => {
+      due = false;
+      free = performance.now() + wait;
+      deed();
+    };
+    if (left <= 0) now();
+    else {
+      due = true;
+      setTimeout(now, left);
+    }
+  };
 }

@@ -1,23 +1,35 @@
-// The socket: frames in, nothing out. A connection that is lost is tried again; a swarm that has ended is not.
+// The socket: frames in, nothing out. Whoever is at this page's address is followed; a connection that is lost, or an
+// observer that has ended, is tried again and again, and until then the last map stays.
 
 import { decode } from "@msgpack/msgpack";
 import type { Frame } from "./state";
 
 export type Standing = "connecting" | "live" | "lost" | "ended";
 
+const SILENCE = 8000; // milliseconds; a server that is there says something every two seconds
+const WAITS = { first: 500, most: 5000 };
+
 export function follow(take: (frame: Frame) => void, tell: (standing: Standing) => void, begin: () => void): void {
+  let wait = WAITS.first;
   let ended = false;
-  let wait = 500;
   const open = (): void => {
     const socket = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/live`);
     socket.binaryType = "arraybuffer";
-    let first = true;
+    let heard = false;
+    let watchdog: ReturnType<typeof setTimeout>;
+    const watch = (): void => {
+      clearTimeout(watchdog);
+      watchdog = setTimeout(() => socket.close(), SILENCE);
+    };
+    watch();
     socket.onmessage = (event: MessageEvent<ArrayBuffer>) => {
-      if (first) {
+      watch();
+      if (!heard) {
+        heard = true;
+        ended = false;
+        wait = WAITS.first;
         begin(); // the server sends everything anew
         tell("live");
-        wait = 500;
-        first = false;
       }
       const frame = decode(new Uint8Array(event.data)) as Frame;
       take(frame);
@@ -27,10 +39,10 @@ export function follow(take: (frame: Frame) => void, tell: (standing: Standing) 
       }
     };
     socket.onclose = () => {
-      if (ended) return;
-      tell("lost");
+      clearTimeout(watchdog);
+      if (!ended) tell("lost");
       setTimeout(open, wait);
-      wait = Math.min(2 * wait, 5000);
+      wait = Math.min(2 * wait, WAITS.most);
     };
   };
   tell("connecting");

@@ -10,7 +10,7 @@ interface Witness {
   robot: string;
   summed: boolean;
   evidence: number;
-  seconds: number;
+  seconds: number | null;
 }
 
 interface Cell {
@@ -49,7 +49,7 @@ export async function inspect(map: L.Map, store: Store, at: L.LatLng): Promise<v
             make("td", {}, dot(store.sessions.find((session) => session.session === each.session)?.colour ?? "gray"), each.robot),
             make("td", { class: "number" }, `${each.evidence > 0 ? "+" : ""}${each.evidence}`),
             make("td", {}, each.evidence > 0 ? "occupied" : "free"),
-            make("td", { class: "dim" }, Number.isFinite(each.seconds) && each.seconds >= 0 ? (each.seconds < 2 ? "just now" : `${seconds(each.seconds)} ago`) : ""),
+            make("td", { class: "dim" }, each.seconds === null ? "" : each.seconds < 2 ? "just now" : `${seconds(each.seconds)} ago`),
           ),
         ),
       ),
@@ -65,7 +65,7 @@ export async function inspect(map: L.Map, store: Store, at: L.LatLng): Promise<v
 function fromHere(store: Store, i: number, j: number): Cell {
   const evidence = store.evidence("", i, j);
   const witnesses = store.sessions
-    .map((each) => ({ session: each.session, robot: each.robot, summed: each.summed, evidence: store.evidence(each.session, i, j), seconds: -1 }))
+    .map((each) => ({ session: each.session, robot: each.robot, summed: each.summed, evidence: store.evidence(each.session, i, j), seconds: null }))
     .filter((each) => each.evidence !== 0);
   return { i, j, evidence, probability: probability(evidence), witnesses };
 }

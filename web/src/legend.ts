@@ -2,18 +2,20 @@
 
 import type * as L from "leaflet";
 import { $, make } from "./dom";
-import type { View } from "./main";
 import type { Derived } from "./derived";
 import { type PaletteName, type Paper, type Rgb, confidenceRamp, contestedColour, css, probability, shade } from "./palette";
 import { FUSED } from "./state";
 import type { Store } from "./store";
+
+export const VIEWS = { map: "Map", confidence: "Confidence", witness: "Who saw it", disagreement: "Disagreement" } as const;
+export type View = keyof typeof VIEWS;
 
 export class Legend {
   private readonly note = make("span", { class: "note" });
   private readonly under = make("span", { class: "under" });
   private counted = -Infinity;
 
-  update(view: View, palette: PaletteName, paper: Paper, store: Store, faint: boolean): void {
+  update(view: View, palette: PaletteName, paper: Paper, faint: boolean): void {
     const bar = (colour: (t: number) => Rgb, ...words: string[]): HTMLElement[] => {
       const strip = make("canvas", { width: "120", height: "1", class: "strip" });
       const context = strip.getContext("2d")!;
@@ -32,7 +34,6 @@ export class Legend {
     this.note.textContent = "";
     this.counted = -Infinity;
     $("legend").replaceChildren(...parts, this.note, this.under);
-    void store;
   }
 
   /** How much of it there is; once a second is enough. */

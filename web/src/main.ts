@@ -5,23 +5,21 @@ import "uplot/dist/uPlot.min.css";
 import "./style.css";
 import * as L from "leaflet";
 import { Charts } from "./charts";
-import { $, dot, make, told } from "./dom";
+import { $, dot, make, seldom, told } from "./dom";
 import { icon } from "./icons";
 import { type Standing, follow } from "./feed";
-import { Legend } from "./legend";
+import { Legend, VIEWS, type View } from "./legend";
 import { Measure } from "./measure";
-import { DARK, LIGHT, PALETTES, type PaletteName, confidenceTable, contestedTable, css, faintTable, mapTable, rgb, robotTable, witnessTable } from "./palette";
+import { DARK, LIGHT, PALETTES, type PaletteName, confidenceTable, contestedTable, css, faintTable, mapTable, rgb, robotTable, shade, witnessTable } from "./palette";
 import { Panel } from "./panel";
 import { Placing } from "./place";
 import { Robots } from "./robots";
 import { FUSED } from "./state";
 import { Store, bounds, contested, witnessed, without } from "./store";
 import { TileLayer } from "./tile_layer";
+import { TimelineBar } from "./timeline";
 import { Derived } from "./derived";
 import { inspect } from "./inspect";
-
-const VIEWS = { map: "Map", confidence: "Confidence", witness: "Who saw it", disagreement: "Disagreement" } as const;
-export type View = keyof typeof VIEWS;
 
 const store = new Store();
 const remembered = (name: string): string | null => {
@@ -79,6 +77,7 @@ const panel = new Panel(store, {
 const legend = new Legend();
 const measure = new Measure(map, store);
 const charts = new Charts(store);
+const timeline = new TimelineBar();
 
 /** Everything anew: another view, other colours, another set of robots in the map. */
 function draw(): void {
@@ -96,6 +95,7 @@ function draw(): void {
     table = witnessTable(store.sessions.map((each) => rgb(each.colour)), paper());
   }
   base.show(source, table);
+  $("map").style.background = table[0] === 0 ? "" : css(shade(palette, paper(), 0.5)); // else seams show between canvases
   if (view === "disagreement" && !placing.session) {
     disagreement.begin();
     over.show(disagreement, contestedTable());
@@ -116,7 +116,7 @@ function draw(): void {
     layer.show(store.source(session.session), robotTable(rgb(session.colour)));
     if (!map.hasLayer(layer)) layer.addTo(map);
   }
-  legend.update(view, palette, paper(), store, faint && view === "map");
+  legend.update(view, palette, paper(), faint && view === "map");
   robots.update();
 }
 
@@ -143,10 +143,10 @@ function refresh(): void {
 
 let summed = "";
 let following = true; // the map as it grows, until somebody looks elsewhere
-let followed = "";
-let followedAt = 0; // when the page was opened
+let followedSize = 0;
 let waiting = false;
 
+/** Show what has come in: the map with the next frame on the screen, words and numbers when there is time. */
 function soon(): void {
   if (waiting) return;
   waiting = true;
@@ -156,28 +156,40 @@ function soon(): void {
     const other = set !== summed;
     summed = set;
     if (placing.session && !store.sessions.some((each) => each.session === placing.session!.session)) placing.end();
+    if (following) followGrowth(); // first, so that nothing is painted in vain
     refresh();
     if (other) draw();
     else robots.update();
-    panel.update();
-    charts.update();
-    legend.count(view, disagreement);
-    if (following) followGrowth();
+    timeline.update(store.state?.timeline ?? null);
+    $("peers").hidden = Boolean(store.state?.timeline);
+    words();
+    mark();
   };
   if (document.hidden) setTimeout(now, 500);
   else requestAnimationFrame(now);
 }
 
-/** Keep the whole map in sight, without hurry. */
-function followGrowth(): void {
-  const box = String(bounds(store.tiles(FUSED)));
-  const late = performance.now() - followedAt;
-  const whole = store.tiles(FUSED).size >= (store.state?.tiles ?? 0); // else more of it is on its way
-  if (box === followed || late < (whole ? 300 : 1500) || placing.session) return;
-  followed = box;
-  followedAt = performance.now();
-  fit(false);
+const words = seldom(200, () => {
+  panel.update();
+  charts.update();
+  legend.count(view, disagreement);
+});
+
+/** For measurements (benchmarks/page.py): when the map was first seen, and when every cell of it was here. */
+function mark(): void {
+  const here = { "orion-first": store.tiles(FUSED).size > 0, "orion-whole": store.exact };
+  for (const [name, so] of Object.entries(here)) {
+    if (so && performance.getEntriesByName(name).length === 0) requestAnimationFrame(() => performance.mark(name));
+  }
 }
+
+/** Keep the whole map in sight as it grows, without hurry; it is left as it is where it becomes smaller. */
+const followGrowth = seldom(300, () => {
+  const size = store.tiles(FUSED).size;
+  if (size <= followedSize || placing.session || !following) return;
+  followedSize = size;
+  fit(false);
+});
 
 for (const event of ["pointerdown", "wheel"]) {
   $("map").addEventListener(event, () => (following = false), { capture: true, passive: true });
@@ -186,9 +198,10 @@ for (const event of ["pointerdown", "wheel"]) {
 /** How many pixels the panel covers, from the right and from below. */
 function covered(): [right: number, below: number] {
   const panel = $("panel");
-  if (panel.classList.contains("away")) return [0, 0];
+  const bar = $("timeline").hidden ? 0 : $("timeline").offsetHeight + 8;
+  if (panel.classList.contains("away")) return [0, bar];
   const size = panel.getBoundingClientRect();
-  return matchMedia("(max-width: 720px)").matches ? [0, Math.min(size.height, innerHeight * 0.6)] : [size.width + 12, 0];
+  return matchMedia("(max-width: 720px)").matches ? [0, Math.min(size.height, innerHeight * 0.6) + bar] : [size.width + 12, bar];
 }
 
 /** Closer or farther, around the middle of what is not covered. */
@@ -233,13 +246,13 @@ function toggle(session: string): void {
 
 function choose(next: View): void {
   view = next;
-  for (const button of $("views").querySelectorAll("button")) button.setAttribute("aria-checked", String(button.dataset.view === view));
+  for (const button of $("views").querySelectorAll("button")) button.setAttribute("aria-pressed", String(button.dataset.view === view));
   draw();
   legend.count(view, disagreement);
 }
 
 for (const [name, label] of Object.entries(VIEWS)) {
-  $("views").append(make("button", { role: "radio", "data-view": name, onclick: () => choose(name as View) }, label));
+  $("views").append(make("button", { "data-view": name, onclick: () => choose(name as View) }, label));
 }
 
 function colours(name: PaletteName): void {
@@ -323,6 +336,9 @@ function help(): void {
       ...KEYS.flatMap(([key, what]) => [make("dt", {}, make("kbd", {}, key)), make("dd", {}, what)]),
       make("dt", {}, make("kbd", {}, "esc")),
       make("dd", {}, "Leave measuring or placing"),
+      ...(store.state?.timeline
+        ? [make("dt", {}, make("kbd", {}, "space")), make("dd", {}, "Play or pause"), make("dt", {}, make("kbd", {}, "← →")), make("dd", {}, "Five seconds back or on; with shift half a minute")]
+        : []),
     ),
     make("p", { class: "dim" }, "A click on a cell tells who saw it; a double click on a robot's name jumps to it; arrows pan."),
   );
@@ -348,7 +364,7 @@ for (const tool of TOOLS) {
 document.addEventListener("keydown", (event) => {
   const target = event.target as HTMLElement;
   if (event.ctrlKey || event.metaKey || event.altKey || $<HTMLDialogElement>("dialog").open) return;
-  if (/^(INPUT|SELECT|TEXTAREA)$/.test(target.tagName)) return;
+  if (target.tagName === "SELECT" || (target instanceof HTMLInputElement && target.type !== "range")) return;
   if (event.key === "Escape") {
     measure.end();
     placing.end();
@@ -364,6 +380,11 @@ document.addEventListener("keydown", (event) => {
       placing.nudge(nudge[0], nudge[1], nudge[2]);
       return;
     }
+  }
+  if (timeline.key(event)) {
+    event.preventDefault();
+    event.stopPropagation(); // the map pans with arrows
+    return;
   }
   const found = KEYS.find(([key]) => key === event.key);
   if (found) {
@@ -381,14 +402,23 @@ $("grip").addEventListener("click", () => $("panel").classList.toggle("tall"));
 
 // --- what comes in
 
-function stand(standing: Standing): void {
-  const words = { connecting: "connecting", live: "live", lost: "not connected, trying again", ended: "has ended" }[standing];
-  $("standing").replaceChildren(dot({ live: "var(--good)", ended: "var(--dim)", lost: "var(--bad)", connecting: "var(--warn)" }[standing]), words);
+let standing: Standing = "connecting";
+
+function stand(next: Standing): void {
+  standing = next;
+  const log = Boolean(store.state?.timeline);
+  const [colour, word] = {
+    connecting: ["var(--warn)", "connecting"],
+    live: log ? ["var(--accent)", "a recorded run"] : ["var(--good)", "live"],
+    lost: ["var(--bad)", "not connected"],
+    ended: ["var(--dim)", "has ended"],
+  }[standing];
+  $("standing").replaceChildren(dot(colour), word);
   document.documentElement.dataset.standing = standing;
-  const banner = $("banner");
-  banner.hidden = standing === "live" || standing === "connecting";
-  banner.textContent = standing === "ended" ? "The swarm has ended. This is its last map." : "The observer cannot be reached; this is what it last told.";
-  $("saving").classList.toggle("away", standing === "ended");
+  $("banner").hidden = standing === "live" || standing === "connecting";
+  $("banner").textContent = standing === "lost" ? "The observer cannot be reached. This is what it told last; trying again." : log ? "The log is closed. This is what was shown last." : "The swarm has ended. This is its last map.";
+  timeline.enable(standing === "live");
+  $("saving").classList.toggle("away", standing === "ended" || standing === "lost");
 }
 
 const palettes = Object.keys(PALETTES) as PaletteName[];
@@ -398,9 +428,14 @@ theme(remembered("theme") === null ? system.matches : remembered("theme") === "d
 choose("map");
 follow(
   (frame) => {
+    const log = Boolean(store.state?.timeline);
     store.take(frame);
-    soon();
+    if (log !== Boolean(store.state?.timeline)) stand(standing);
+    if (Object.keys(frame).length > 0) soon();
   },
   stand,
-  () => store.clear(),
+  () => {
+    store.clear();
+    followedSize = 0;
+  },
 );

@@ -1,6 +1,6 @@
 // The panel: the swarm in a few facts, its robots with their state and why, who else is there.
 
-import { $, bytes, confirmed, dot, make, order, seconds } from "./dom";
+import { $, bytes, clock, confirmed, dot, make, post, seconds } from "./dom";
 import type { Session, State } from "./state";
 import type { Store } from "./store";
 
@@ -42,7 +42,9 @@ export class Panel {
     const same = told.filter((peer) => peer.same).length;
     const behind = state.sessions.some((each) => !each.replaced && each.known_n > each.n);
     const all = state.peers.length > 0 && same === state.peers.length && !behind;
-    const mark = all
+    const mark = state.timeline
+      ? make("span", { class: "mark" }, `at ${clock(state.timeline.seconds)}`)
+      : all
       ? make("span", { class: "mark good", title: "Every peer that is there said that it holds this very map." }, "✓ all agree")
       : make(
           "span",
@@ -52,7 +54,7 @@ export class Panel {
     $("facts").replaceChildren(
       fact(`${state.known_m2.toFixed(2)} m²`, "known"),
       fact(String(state.tiles), "tiles"),
-      fact(bytes(state.bytes_rate), state.budget ? `of ${bytes(state.budget)}` : "heard"),
+      fact(bytes(state.bytes_rate), state.timeline ? "of updates" : state.budget ? `of ${bytes(state.budget)}` : "heard"),
       make(
         "div",
         { class: "fact wide" },
@@ -88,19 +90,18 @@ export class Panel {
   }
 
   private peers(state: State): void {
-    const others = state.peers.filter((peer) => !peer.robot);
     const replaced = state.sessions.filter((each) => each.replaced);
     $("peers").replaceChildren(
-      make("h2", {}, "Links"),
+      make("h2", {}, "Peers that this observer hears"),
       make(
         "p",
-        { class: "links" },
+        { class: "chips" },
         ...state.peers.map((peer) =>
           make("span", { class: "chip", title: peer.same === null ? "It has not said yet what it holds." : peer.same ? "It said that it holds this very map." : "It last said that it holds another state." }, `${peer.same ? "✓" : "·"} ${peer.name}`),
         ),
         state.peers.length === 0 && "No other peer is there.",
       ),
-      others.length > 0 ? make("p", { class: "dim" }, `${others.length} of them without a body`) : "",
+      make("p", { class: "dim" }, "✓ said that it holds this very map. Who hears whom besides is not told on the wire."),
       replaced.length > 0
         ? make(
           "details",
@@ -154,13 +155,14 @@ class Card {
   update(session: Session, ambiguous: boolean, state: State): void {
     this.session = session;
     this.name.replaceChildren(dot(session.colour), session.robot, ambiguous ? make("small", {}, ` ${session.session.slice(0, 6)}`) : "");
+    this.layer.setAttribute("aria-label", `${session.robot}'s own map`);
     this.layer.setAttribute("aria-pressed", String(this.deeds.shown.has(session.session)));
-    const standing = session.reason || (session.summed ? (session.live ? "in the map" : "in the map; its writer is away") : "not in the map");
+    const standing = session.reason || (session.summed ? (session.live || state.timeline ? "in the map" : "in the map; its writer is away") : "not in the map");
     const trouble = !session.summed || session.reason !== "";
     this.line.replaceChildren(
-      make("span", { class: trouble ? (session.summed ? "badge warn" : "badge bad") : session.live ? "badge good" : "badge" }, trouble ? (session.summed ? "!" : "×") : session.live ? "●" : "○"),
+      make("span", { class: trouble ? (session.summed ? "badge warn" : "badge bad") : session.live || state.timeline ? "badge good" : "badge" }, trouble ? (session.summed ? "!" : "×") : session.live || state.timeline ? "●" : "○"),
       ` ${standing}`,
-      make("span", { class: "rates" }, session.bytes_rate === null ? "away" : `${session.updates_rate.toFixed(1)}/s · ${bytes(session.bytes_rate)}`),
+      make("span", { class: "rates" }, state.timeline ? `${session.updates_rate.toFixed(1)}/s` : session.bytes_rate === null ? "away" : `${session.updates_rate.toFixed(1)}/s · ${bytes(session.bytes_rate)}`),
     );
     const open = this.open.has(session.session);
     this.element.classList.toggle("open", open);
@@ -177,6 +179,7 @@ class Card {
         ].flatMap(([name, value]) => [make("dt", {}, name), make("dd", {}, value)]),
       );
     }
+    this.evict.hidden = this.place.hidden = state.timeline !== null; // there is no swarm that could follow
     this.evict.textContent = session.evicted ? "Readmit..." : "Evict...";
     this.evict.disabled = state.ended;
     this.place.disabled = state.ended || session.tiles === 0;
@@ -188,6 +191,6 @@ class Card {
     const yes = evicted
       ? await confirmed(`Readmit ${robot}?`, [`Session ${short} comes back into everybody's map, exactly as it was.`], "Readmit it")
       : await confirmed(`Evict ${robot}?`, [`Session ${short} leaves everybody's map, exactly, until somebody readmits it. Nothing is lost.`], "Evict it", true);
-    if (yes) await order(evicted ? "readmit" : "evict", { session });
+    if (yes) await post(evicted ? "readmit" : "evict", { session });
   }
 }

@@ -2,7 +2,7 @@
 // is the result, near enough (cells are turned as a picture; the robot makes them anew from its scans). Then it is sent.
 
 import * as L from "leaflet";
-import { $, confirmed, make, order } from "./dom";
+import { $, confirmed, make, post } from "./dom";
 import { type Rgb, rgb, robotTable } from "./palette";
 import { TILE, placeOf } from "./pyramid";
 import { type Pose, type Session, TURN, degrees, radians } from "./state";
@@ -216,6 +216,6 @@ export class Placing {
       ],
       "Correct it",
     );
-    if (yes && (await order("start-pose", { robot: session.robot, x_mm, y_mm, yaw_turn16 }))) this.end();
+    if (yes && (await post("start-pose", { robot: session.robot, x_mm, y_mm, yaw_turn16 }))) this.end();
   }
 }

@@ -4,10 +4,11 @@
 export const TILE = 32;
 export const LEVELS = 6; // 32, 16, 8, 4, 2, 1
 export const OFFSET = [0, 1024, 1280, 1344, 1360, 1364];
+export const CELLS = 1024;
 export const SIZE = 1365;
 
 export type Pool = (a: number, b: number, c: number, d: number) => number;
-export type Tiles = Map<number, Int16Array>; // by key; each SIZE long
+export type Tiles = Map<number, Int16Array>; // by key; CELLS long as they came, SIZE long with their pyramid
 
 /** Where tiles are drawn from. */
 export interface Source {
@@ -34,16 +35,27 @@ export const occupiedWins: Pool = (a, b, c, d) => {
 
 export const greatest: Pool = (a, b, c, d) => Math.max(a, b, c, d);
 
-/** A tile of 1024 cells with its pooled levels; row 0 is south in all of them. */
-export function pyramid(cells: ArrayLike<number>, pool: Pool): Int16Array {
+/**
+ * A tile with its pooled levels; row 0 is south in all of them.
+ *
+ * If what is there of it is a coarser level, its cells stand in for the finer ones.
+ */
+export function pyramid(cells: ArrayLike<number>, pool: Pool, level = 0): Int16Array {
   const all = new Int16Array(SIZE);
-  all.set(cells);
-  for (let level = 1; level < LEVELS; level++) {
-    const side = TILE >> level;
-    const below = OFFSET[level - 1];
-    let to = OFFSET[level];
+  all.set(cells, OFFSET[level]);
+  for (let finer = level - 1; finer >= 0; finer--) {
+    const side = TILE >> finer;
+    let to = OFFSET[finer];
     for (let row = 0; row < side; row++) {
-      let from = below + 4 * row * side;
+      const from = OFFSET[finer + 1] + (row >> 1) * (side >> 1);
+      for (let column = 0; column < side; column++) all[to++] = all[from + (column >> 1)];
+    }
+  }
+  for (let coarser = level + 1; coarser < LEVELS; coarser++) {
+    const side = TILE >> coarser;
+    let to = OFFSET[coarser];
+    for (let row = 0; row < side; row++) {
+      let from = OFFSET[coarser - 1] + 4 * row * side;
       for (let column = 0; column < side; column++, from += 2) {
         all[to++] = pool(all[from], all[from + 1], all[from + 2 * side], all[from + 2 * side + 1]);
       }

@@ -9,6 +9,8 @@ interface Marks {
   edge: L.Polyline;
   marker: L.Marker;
   drawn: number;
+  drawnAt: number;
+  look: string;
 }
 
 export class Robots {
@@ -56,26 +58,28 @@ export class Robots {
   private draw(session: Session): void {
     const marks = this.marks.get(session.session) ?? this.begin(session);
     const trail = this.store.tracks.get(session.session)?.trail ?? [];
-    if (marks.drawn > trail.length) {
-      marks.line.setLatLngs([]);
-      marks.edge.setLatLngs([]);
-      marks.drawn = 0;
-    }
-    if (trail.length > marks.drawn) {
+    const now = performance.now();
+    // a long way takes long to draw: not with every step
+    if (trail.length < marks.drawn || (trail.length > marks.drawn && now - marks.drawnAt > Math.min(500, trail.length / 5))) {
       const path = trail.map((pose) => this.at(pose));
       marks.line.setLatLngs(path);
       marks.edge.setLatLngs(path);
       marks.drawn = trail.length;
+      marks.drawnAt = now;
     }
-    const faint = session.summed ? 1 : 0.35;
-    marks.line.setStyle({ opacity: this.trails ? 0.95 * faint : 0 });
-    marks.edge.setStyle({ opacity: this.trails ? 0.7 * faint : 0, color: this.edge() });
+    const faint = this.trails ? (session.summed ? 1 : 0.35) : 0;
+    const look = `${faint} ${this.edge()}`;
+    if (look !== marks.look) {
+      marks.look = look;
+      marks.line.setStyle({ opacity: 0.95 * faint });
+      marks.edge.setStyle({ opacity: 0.7 * faint, color: this.edge() });
+    }
     const pose = session.pose!;
     marks.marker.setLatLng(this.at(pose));
     const element = marks.marker.getElement();
     if (element) {
       element.querySelector<SVGElement>("svg")!.style.transform = `rotate(${-radians(pose[2])}rad)`;
-      element.classList.toggle("away", !session.live);
+      element.classList.toggle("away", !session.live && !this.store.state?.timeline);
     }
   }
 
@@ -97,7 +101,7 @@ export class Robots {
       keyboard: false,
     }).addTo(this.map);
     marker.on("click", () => this.pick(session.session));
-    const marks = { line, edge, marker, drawn: 0 };
+    const marks = { line, edge, marker, drawn: 0, drawnAt: -Infinity, look: "" };
     this.marks.set(session.session, marks);
     return marks;
   }

@@ -28,6 +28,15 @@ export interface PeerInfo {
   same: boolean | null;
 }
 
+/** Where in a log one is. */
+export interface Timeline {
+  seconds: number;
+  duration: number;
+  whole: boolean;
+  torn: string;
+  speed: number;
+}
+
 export interface State {
   swarm: string;
   cell_mm: number;
@@ -38,14 +47,15 @@ export interface State {
   bytes_rate: number;
   budget: number | null;
   ended: boolean;
+  timeline: Timeline | null;
   peers: PeerInfo[];
   sessions: Session[];
 }
 
 export interface Frame {
   state?: State;
-  tiles?: [layer: string, keys: Uint8Array, cells: Uint8Array][];
-  tracks?: [layer: string, first: number, trail: Uint8Array, hits: Uint8Array][];
+  tiles?: [layer: string, level: number, keys: Uint8Array, cells: Uint8Array][];
+  tracks?: [layer: string, first: number, trail: Uint8Array, firstHit: number, hits: Uint8Array][];
   history?: [seconds: number, known_m2: number, bytes_rate: number][];
   ended?: boolean;
 }

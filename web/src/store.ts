@@ -1,24 +1,27 @@
 // All that has come in, and what is derived from it tile by tile: who saw a cell most, and where robots contradict.
 
 import { int16, int32 } from "./feed";
-import { type Source, TILE, type Tiles, greatest, keyOf, occupiedWins, placeOf, pyramid } from "./pyramid";
+import { CELLS, type Source, TILE, type Tiles, greatest, keyOf, occupiedWins, placeOf, pyramid } from "./pyramid";
 import { FUSED, type Frame, type Session, type State } from "./state";
 
 export interface Track {
   trail: number[][]; // x_mm, y_mm, yaw_turn16
   hits: number[][]; // x_mm, y_mm
+  hitsInAll: number;
 }
 
 export const OCCUPIED = 62; // units of evidence: p > 0.65, as in mapping/evidence.py
 export const SEEN_OCCUPIED = 16384;
 export const SEEN_BY_SEVERAL = 8192;
-const MOST_HITS = 4000;
+const MOST_HITS = 2000; // as in agent/page_tracks.py
 
 export class Store {
   state: State | null = null;
   layers = new Map<string, Tiles>();
   tracks = new Map<string, Track>();
   history: [number, number, number][] = [];
+  /** Tiles of the map of which only a coarser level has come. */
+  private readonly coarse = new Set<number>();
   /** Tiles that changed since somebody last looked, by layer. */
   changed = new Map<string, Set<number>>();
 
@@ -26,31 +29,37 @@ export class Store {
   clear(): void {
     for (const layer of this.layers.keys()) this.noteAll(layer);
     this.layers.clear();
+    this.coarse.clear();
     this.tracks.clear();
     this.history = [];
   }
 
   take(frame: Frame): void {
-    for (const [layer, keys, cells] of frame.tiles ?? []) {
+    for (const [layer, level, keys, cells] of frame.tiles ?? []) {
       const places = int32(keys);
       const values = int16(cells);
+      const size = CELLS >> (2 * level);
       const tiles = this.layers.get(layer) ?? new Map<number, Int16Array>();
       this.layers.set(layer, tiles);
       const note = this.note(layer);
       for (let k = 0; k < places.length / 2; k++) {
         const key = keyOf(places[2 * k], places[2 * k + 1]);
-        tiles.set(key, pyramid(values.subarray(k * 1024, (k + 1) * 1024), occupiedWins));
+        const tile = values.subarray(k * size, (k + 1) * size);
+        tiles.set(key, level === 0 ? tile : pyramid(tile, occupiedWins, level));
         note.add(key);
+        if (layer === FUSED) this.coarse[level === 0 ? "delete" : "add"](key);
       }
     }
-    for (const [layer, first, trail, hits] of frame.tracks ?? []) {
-      const track = this.tracks.get(layer) ?? { trail: [], hits: [] };
+    for (const [layer, first, trail, firstHit, hits] of frame.tracks ?? []) {
+      const track = this.tracks.get(layer) ?? { trail: [], hits: [], hitsInAll: 0 };
       this.tracks.set(layer, track);
       track.trail.length = Math.min(track.trail.length, first);
       const poses = int32(trail);
       for (let k = 0; k < poses.length; k += 3) track.trail.push([poses[k], poses[k + 1], poses[k + 2]]);
+      if (firstHit !== track.hitsInAll) track.hits = [];
       const points = int32(hits);
       for (let k = 0; k < points.length; k += 2) track.hits.push([points[k], points[k + 1]]);
+      track.hitsInAll = firstHit + points.length / 2;
       if (track.hits.length > MOST_HITS) track.hits.splice(0, track.hits.length - MOST_HITS);
     }
     for (const row of frame.history ?? []) this.history.push(row);
@@ -66,6 +75,11 @@ export class Store {
     }
   }
 
+  /** Whether every cell of the map is here. */
+  get exact(): boolean {
+    return this.tiles(FUSED).size > 0 && this.tiles(FUSED).size >= (this.state?.tiles ?? Infinity) && this.coarse.size === 0;
+  }
+
   tiles(layer: string): Tiles {
     return this.layers.get(layer) ?? NONE;
   }
@@ -73,7 +87,7 @@ export class Store {
   /** A layer as it will be whenever it is asked, whatever becomes of the connection meanwhile. */
   source(layer: string): Source {
     return {
-      get: (key) => this.tiles(layer).get(key),
+      get: (key) => pooled(this.tiles(layer), key),
       keys: () => this.tiles(layer).keys(),
       size: () => this.tiles(layer).size,
     };
@@ -107,6 +121,15 @@ export class Store {
 
 const NONE: Tiles = new Map();
 
+/** A tile with its pyramid, which is made when somebody looks. */
+function pooled(tiles: Tiles, key: number): Int16Array | undefined {
+  const cells = tiles.get(key);
+  if (cells?.length !== CELLS) return cells;
+  const all = pyramid(cells, occupiedWins);
+  tiles.set(key, all);
+  return all;
+}
+
 /**
  * Where robots contradict each other, 0 to 1000 a cell: 1 - |sum| / sum of |.| over the sessions in the map, in
  * thousandths; 0 where either side is weaker than one clear hit. Around every wall there is a little of it; a robot
@@ -116,8 +139,8 @@ export function contested(store: Store, key: number): Int16Array | undefined {
   const tiles = store.summed.flatMap((each) => store.tiles(each.session).get(key) ?? []);
   if (tiles.length < 2) return undefined;
   const clear = store.state?.clear_hit ?? 85;
-  const cells = new Int16Array(1024);
-  for (let k = 0; k < 1024; k++) {
+  const cells = new Int16Array(CELLS);
+  for (let k = 0; k < CELLS; k++) {
     let occupied = 0;
     let free = 0;
     for (const tile of tiles) {
@@ -135,8 +158,8 @@ export function witnessed(store: Store, key: number): Int16Array | undefined {
   const tiles = sessions.map((each) => (each.summed ? store.tiles(each.session).get(key) : undefined));
   if (tiles.every((tile) => tile === undefined)) return undefined;
   const fused = store.tiles(FUSED).get(key);
-  const cells = new Int16Array(1024);
-  for (let k = 0; k < 1024; k++) {
+  const cells = new Int16Array(CELLS);
+  for (let k = 0; k < CELLS; k++) {
     let most = 0;
     let who = 0;
     let witnesses = 0;
@@ -159,14 +182,14 @@ export function without(store: Store, session: string, key: number): Int16Array 
   const fused = store.tiles(FUSED).get(key);
   const own = store.tiles(session).get(key);
   if (!fused || !own) return fused;
-  return pyramid(fused.subarray(0, 1024).map((value, k) => value - own[k]), occupiedWins);
+  return pyramid(fused.subarray(0, CELLS).map((value, k) => value - own[k]), occupiedWins);
 }
 
 /** The box of cells around some tiles: i0, j0, columns, rows. */
 export function bounds(tiles: Tiles): [number, number, number, number] | null {
   let [west, south, east, north] = [Infinity, Infinity, -Infinity, -Infinity];
   for (const [key, cells] of tiles) {
-    if (cells[1364] === 0) continue;
+    if (!cells.some((value) => value !== 0)) continue;
     const [ty, tx] = placeOf(key);
     west = Math.min(west, tx);
     east = Math.max(east, tx + 1);
