@@ -157,8 +157,7 @@ class Node:
                 self.turn(now, events, go=control.go)
                 self._report(now, control)
                 watch(now)
-            self._say_the_rest(time.monotonic())
-            self._stay_until_heard()
+            self._stay_until_heard(self._say_the_rest(time.monotonic()))
             self._keeper.keep_all(self.peer, self._sessions())
         finally:
             self._kernel.close()
@@ -248,8 +247,8 @@ class Node:
         if (written := self._earlier or self.own) is not None:
             written.correct(now)
 
-    def _say_the_rest(self, now: float) -> None:
-        """What was sensed is not lost with the process."""
+    def _say_the_rest(self, now: float) -> float:
+        """What was sensed is not lost with the process; gives the time by then, which runs ahead of the clock's."""
         now += self._update_period
         self.peer.flush(now)
         self._say(now)
@@ -260,14 +259,15 @@ class Node:
             now += self._update_period
             self.peer.flush(now)
             self._say(now)
+        return now
 
-    def _stay_until_heard(self) -> None:
+    def _stay_until_heard(self, now: float) -> None:
         """See somebody hold all that we have published, if anybody is there: of us nobody can ask for it any more."""
         for _ in range(_LAST_LOOKS):
             if self.peer.is_heard():
                 break
             time.sleep(_REST)
-            now = time.monotonic()
+            now = max(now, time.monotonic())  # a peer's time never goes back
             self._hear(now, self._bus.receive())
             self._say(now)
 
