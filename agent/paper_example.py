@@ -70,8 +70,8 @@ def frames_by_us() -> list[Frame]:
     tiles: dict[TileKey, Cells] = {}
     frames = [_frame({})]
     for step in STEPS:
-        ends = np.array([cell_of(reading) for reading in step.readings], np.int64)
-        starts = np.tile(np.array(cell_of(step.robot), np.int64), (len(ends), 1))
+        ends = np.array([cell_of(reading) for reading in step.readings], np.int32)
+        starts = np.tile(np.array(cell_of(step.robot), np.int32), (len(ends), 1))
         tiles |= added(tiles, raster_rays(Rays(starts, ends, np.ones(len(ends), np.uint8)), EvidenceModel()))
         seen = probability(tiles[TileKey(0, 0)])
         frames.append({index: float(seen[cell_of(index)[::-1]]) for index in range(1, SIDE**2 + 1)})

@@ -1,9 +1,18 @@
 """From scans to evidence with compiled loops (numba, extra ``fast``): the same integers as ``raster``, sooner.
 
-The same stages as there, each a jitted function: rays, their progressions on a canvas, additions, tiles. A call from
+Its stages are jitted functions: rays, their progressions on a canvas (``mapping.canvas``), an addition for every cell,
+tiles. (An addition costs so little here that corners would save no more than their running sums cost.) A call from
 Python costs microseconds, mostly for the arrays that go in and out; so all stages are one call (``_at_once``), unless
 the rays are not worth one canvas. Compiled code is cached beside this file, so that only the first process on a machine
 compiles.
+
+Rays along y are drawn by rows, those along x by columns: a step along a ray's longer (major) axis is a whole line, and
+a cell along its minor axis is the neighbour in memory. Why the progressions are exact: cell k of a ray of n steps that
+goes d <= n cells along its minor axis lies at the floor of v = k * d / n + 1 / 2 (ties away from the start), a multiple
+of 1 / (2 n). The fraction's step is d / n rounded up to 2^-FRACTION, so the k-th is too large by less than
+k * 2^-FRACTION < 4096 / 2^32, and that is less than 1 / (2 n) for n <= 4,095: never enough to reach the next whole
+number. To the other side, -floor(v) is the floor of 1 / 2 - k * d / n, less anything smaller than 1 / (2 n); so there
+one starts 2^-FRACTION lower and goes down in the same steps.
 """
 
 from __future__ import annotations
@@ -21,7 +30,7 @@ from mapping.evidence import EvidenceModel
 from mapping.lattice import TILE, Lattice
 from mapping.pose import FULL_TURN
 from mapping.raster import bounded, gathered, is_worth_its_area
-from mapping.rays import FREE, HIT, SILENT, Rays, fan
+from mapping.rays import FREE, HIT, SILENT, Rays, check_beams, fan
 from mapping.scan import INVALID, NO_RETURN, Scans
 from mapping.sensor import Sensor
 from mapping.tiles import Evidence
@@ -34,8 +43,7 @@ _is_worth_its_area = _jit(is_worth_its_area)
 
 def raster(scans: Scans, sensor: Sensor, lattice: Lattice, model: EvidenceModel) -> Evidence:
     """The evidence of scans; see ``mapping.raster.raster``."""
-    if scans.beams != len(sensor.beams):
-        raise ValueError(f"rays: {scans.beams} readings a scan cannot be broadcast to {len(sensor.beams)} beams")
+    check_beams(scans, sensor)
     evidence = _together(scans, sensor, lattice, model)
     return gathered(_parts(scans, sensor, lattice, model)) if evidence is None else bounded(evidence)
 
@@ -166,7 +174,7 @@ def _measured(ends: NDArray[np.int32]) -> tuple[int, int, int, int, int]:
 def _progressions(
     ends: NDArray[np.int32], several: NDArray[np.uint64], j0: int, i0: int, start: int, row: int, column: int
 ) -> None:
-    """First, step and visits of rays on the canvas (``mapping.canvas.progressions``)."""
+    """First, step and visits of rays on the canvas."""
     for ray in range(ends.shape[1]):
         i, j = np.int64(ends[0, ray]), np.int64(ends[1, ray])
         di, dj = ends[2, ray] - i, ends[3, ray] - j
@@ -204,7 +212,7 @@ def _add(
 def _tiles(
     canvas: NDArray[np.int32], start: int, row: int, column: int, ty: int, tx: int, rows: int, columns: int
 ) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """The tiles that have any evidence (``mapping.canvas.tiles_of``)."""
+    """The tiles that have any evidence (``mapping.canvas.Box.tiles``)."""
     keys, cells = np.empty((rows * columns, 2), np.int32), np.empty((rows * columns, TILE, TILE), np.int32)
     count = 0
     for y in range(rows):

@@ -6,7 +6,6 @@ cell is its floor division by the cell size.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import NamedTuple, Self
@@ -31,14 +30,14 @@ class Rays:
     """R rays on the lattice, in the order of the scans' valid readings.
 
     Attributes:
-        start: int64, shape (R, 2): cell (i, j) where the beam starts. Best column by column in memory, as all i are
+        start: int32, shape (R, 2): cell (i, j) where the beam starts. Best column by column in memory, as all i are
             worked on together, and all j.
-        end: int64, shape (R, 2): cell (i, j) of the reading, or where the sensor's range ends.
+        end: int32, shape (R, 2): cell (i, j) of the reading, or where the sensor's range ends.
         ending: shape (R,): ``FREE``, ``HIT`` or ``SILENT``. Booleans will do where none is silent: whether it hit.
     """
 
-    start: NDArray[np.int64]
-    end: NDArray[np.int64]
+    start: NDArray[np.int32]
+    end: NDArray[np.int32]
     ending: NDArray[np.uint8]
 
     def __len__(self) -> int:
@@ -47,27 +46,20 @@ class Rays:
     def __getitem__(self, rows: slice) -> Self:
         return type(self)(self.start[rows], self.end[rows], self.ending[rows])
 
-    @classmethod
-    def join(cls, batches: Sequence[Rays]) -> Self:
-        """One batch out of several (at least one)."""
-        start = np.concatenate([batch.start.T for batch in batches], axis=1).T
-        end = np.concatenate([batch.end.T for batch in batches], axis=1).T
-        return cls(start, end, np.concatenate([batch.ending for batch in batches]))
-
     @property
     def hit(self) -> NDArray[np.bool_]:
         """Whether something was seen at the end, shape (R,)."""
         return np.asarray(self.ending == HIT)
 
     @property
-    def steps(self) -> NDArray[np.int64]:
-        """The number of steps n of each ray, int64 (R,): its cells are k = 0 ... n."""
+    def steps(self) -> NDArray[np.int32]:
+        """The number of steps n of each ray, int32 (R,): its cells are k = 0 ... n."""
         across, along = np.abs(self.end - self.start).T
         return np.asarray(np.maximum(across, along))
 
     @property
-    def visits(self) -> NDArray[np.int64]:
-        """How many of its cells each ray says something of, int64 (R,): the n + 1, or n if its end is silent."""
+    def visits(self) -> NDArray[np.int32]:
+        """How many of its cells each ray says something of, int32 (R,): the n + 1, or n if its end is silent."""
         return np.asarray(self.steps + (self.ending != SILENT))
 
 
@@ -82,6 +74,7 @@ class Fan(NamedTuple):
         ending: what a reading says at its end: ``HIT`` in the beam's inner half, ``SILENT`` in its outer half.
         turns: the robot's own two axes, then the bearings: shape (2 + F,).
         table: all but the turns as the rows of one array, shape (5, F).
+        rays: the same, ray by ray.
     """
 
     beam: NDArray[np.int64]
@@ -91,6 +84,7 @@ class Fan(NamedTuple):
     ending: NDArray[np.uint8]
     turns: NDArray[np.int64]
     table: NDArray[np.int64]
+    rays: tuple[tuple[int, int, int, int, int], ...]
 
 
 def spread(half_width_turn16: int, max_range_mm: int, cell_mm: int) -> tuple[int, int]:
@@ -130,7 +124,17 @@ def fan(sensor: Sensor, lattice: Lattice) -> Fan:
     table.setflags(write=False)
     beam, x_mm, y_mm, bearing, ending = table
     turns = np.concatenate([[0, FULL_TURN // 4], bearing])
-    return Fan(beam, x_mm, y_mm, bearing, ending.astype(np.uint8), turns, table)
+    return Fan(beam, x_mm, y_mm, bearing, ending.astype(np.uint8), turns, table, tuple(rows))
+
+
+def check_beams(scans: Scans, sensor: Sensor) -> None:
+    """Refuse scans of another sensor.
+
+    Raises:
+        ValueError: they have more or fewer beams.
+    """
+    if scans.beams != len(sensor.beams):
+        raise ValueError(f"rays: {scans.beams} readings a scan cannot be broadcast to {len(sensor.beams)} beams")
 
 
 def rays_of(scans: Scans, sensor: Sensor, lattice: Lattice) -> Rays:
@@ -139,8 +143,7 @@ def rays_of(scans: Scans, sensor: Sensor, lattice: Lattice) -> Rays:
     Raises:
         ValueError: the scans are another sensor's.
     """
-    if scans.beams != len(sensor.beams):
-        raise ValueError(f"rays: {scans.beams} readings a scan cannot be broadcast to {len(sensor.beams)} beams")
+    check_beams(scans, sensor)
     beams = fan(sensor, lattice)
     ranges = scans.ranges.take(beams.beam, axis=1)
     returned = ranges != NO_RETURN
@@ -160,7 +163,7 @@ def rays_of(scans: Scans, sensor: Sensor, lattice: Lattice) -> Rays:
     # away from it than they err, and half a unit more keeps those that are whole from falling short.
     points += 0.5
     points *= 1.0 / (lattice.cell_mm << Q)
-    cells = np.floor(points, out=points).astype(np.int64).reshape(2, 2, -1)
+    cells = np.floor(points, out=points).astype(np.int32).reshape(2, 2, -1)
     ending = ending.ravel()
     says = (ranges != INVALID).ravel()
     if not says.all():

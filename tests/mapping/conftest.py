@@ -18,6 +18,7 @@ from types import ModuleType
 import pytest
 
 from mapping import raster
+from mapping.corners import Drawing
 from mapping.evidence import EvidenceModel
 from mapping.rays import Rays
 from mapping.tiles import Evidence
@@ -146,18 +147,28 @@ def kernel(request: pytest.FixtureRequest) -> Callable:
     return (raster if request.param == "numpy" else _compiled()).raster
 
 
-def _canvas_alone(rays: Rays, model: EvidenceModel) -> Evidence:
-    """What NumPy makes of many rays, whatever their number."""
+def _all_on_canvases(rays: Rays, model: EvidenceModel) -> Evidence:
+    """What NumPy makes of many rays, also where there is but one, unless that is very long."""
+
+    def drawn(ray: Rays, model: EvidenceModel) -> Evidence:
+        box = raster.box_of([ray])
+        if box.area > 1 << 17:
+            return alone(ray, model)
+        drawing = Drawing(box, model)
+        drawing.add(ray)
+        return drawing.evidence()
+
+    alone = raster._alone
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(raster, "_FEW", 0)
+        patch.setattr(raster, "_alone", drawn)
         return raster.raster_rays(rays, model)
 
 
-@pytest.fixture(scope="session", params=["numpy", "numpy, canvas alone", "compiled"])
+@pytest.fixture(scope="session", params=["numpy", "numpy, all on canvases", "compiled"])
 def drawn(request: pytest.FixtureRequest) -> Callable:
     """Each kernel in turn: the evidence of rays."""
-    if request.param == "numpy, canvas alone":
-        return _canvas_alone
+    if request.param == "numpy, all on canvases":
+        return _all_on_canvases
     return (raster if request.param == "numpy" else _compiled()).raster_rays
 
 

@@ -8,7 +8,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mapping import raster as module
-from mapping.canvas import box_of
 from mapping.evidence import EvidenceModel
 from mapping.lattice import MAX_RAY_CELLS, Lattice
 from mapping.rays import Rays
@@ -23,8 +22,8 @@ few = settings(max_examples=30, deadline=None)  # the law is slow, and numba may
 def rays_between(*cells):
     """Rays of (start, end, hit)."""
     return Rays(
-        np.array([start for start, _, _ in cells], np.int64).reshape(-1, 2),
-        np.array([end for _, end, _ in cells], np.int64).reshape(-1, 2),
+        np.array([start for start, _, _ in cells], np.int32).reshape(-1, 2),
+        np.array([end for _, end, _ in cells], np.int32).reshape(-1, 2),
         np.array([hit for _, _, hit in cells], np.bool_),
     )
 
@@ -154,14 +153,13 @@ def test_sums_beyond_int32_wrap_around_without_a_word_and_in_any_order(drawn, si
 def test_every_canvas_is_worth_its_area(several):
     rays, areas = rays_between(*several), []
 
-    def noted(box):
+    def noted(box, count):
         areas.append(box.area)
-        return canvas(box)
+        return canvases(box, count)
 
-    canvas = module.Box.canvas
+    canvases = module.Box.canvases
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(module.Box, "canvas", noted)
-        patch.setattr(module, "_FEW", 0)
+        patch.setattr(module.Box, "canvases", noted)
         module.raster_rays(rays, MODEL)
     assert all(area <= 2**16 + 64 * int((rays.steps + 1).sum()) for area in areas)
 
@@ -185,7 +183,7 @@ def test_a_robot_that_is_carried_100_km_costs_no_memory(drawn, law):
     """Their common box has 15 thousand million tiles; the few that are touched are all that is held."""
     here, there = ((0, 0), (20, 5), True), ((4_000_000, -4_000_000), (4_000_003, -4_000_020), True)
     rays = rays_between(*([here] * 50 + [there] * 50) * 3)
-    assert box_of(rays).area > 10**13
+    assert module.box_of([rays]).area > 10**13
     drawn(rays, MODEL)  # compiled, if need be
     tracemalloc.start()
     try:
