@@ -3,7 +3,7 @@
 Pull only. Whoever hears of more than it has waits a little (most gaps close by themselves), asks one peer, and is
 answered from that peer's ring of updates or, for a large gap, with a manifest; then it fetches just the tiles whose
 content it does not hold, from whoever has them. Tiles are kept by content, so neither a retry nor a change of provider
-loses progress.
+loses progress, nor that nobody answers for a while.
 """
 
 from __future__ import annotations
@@ -71,8 +71,13 @@ class CatchUp:
 
     @property
     def resting(self) -> bool:
-        """Whether nobody is known to hold more than we do."""
+        """Whether nobody who would answer is known to hold more than we do."""
         return self.wake_at == _NEVER
+
+    @property
+    def idle(self) -> bool:
+        """Whether it rests and has nothing either that would be of use when somebody speaks again."""
+        return self.resting and self._manifest is None and not self._got
 
     @property
     def most(self) -> int:
@@ -134,10 +139,7 @@ class CatchUp:
         return best[int(self._jitter.fraction() * len(best))]
 
     def _rest(self) -> None:
-        self._drop_manifest()
-        self._got.clear()
         self._asked = None
-        self._asked_ever.clear()
         self._tries = 0
         self._failures.clear()
         self.wake_at = _NEVER
@@ -152,14 +154,16 @@ class CatchUp:
 
     def advanced(self, mine: int, now: float) -> None:
         """The copy has just moved on to ``mine``."""
+        if self._manifest is not None and self._manifest.n <= mine:
+            self._drop_manifest()
+        if self.most <= mine and self._manifest is None:
+            self._got.clear()
+            self._asked_ever.clear()
+            self._rest()
         if self.resting:
             return
         self._tries = 0
-        if self._manifest is not None and self._manifest.n <= mine:
-            self._drop_manifest()
-        if self.most <= mine:
-            self._rest()
-        elif self._asked is not None and self._manifest is None:
+        if self._asked is not None and self._manifest is None:
             answered = mine >= self._asked_through
             self._asked = None if answered else self._asked
             self.wake_at = now if answered else now + self._timers.retry

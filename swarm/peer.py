@@ -214,7 +214,7 @@ class Peer:
 
         Args:
             descriptor: the session's; what it replaces was taken up before.
-            checkpoint: a true state of it; it becomes the copy's own.
+            checkpoint: a true state of it.
             updates: those that follow it, in order.
             now: seconds.
 

@@ -18,7 +18,7 @@ _NEVER = float("inf")
 
 
 class Pursuits:
-    """The catch-ups of one peer; one that rests is forgotten.
+    """The catch-ups of one peer; one that rests with nothing in hand is forgotten.
 
     Args:
         timers: how long to wait, and how many may ask at once.
@@ -80,7 +80,7 @@ class Pursuits:
             if (request := catch_up.poll(replicas.get(session), now)) is not None:
                 requests.append(request)
             asking += catch_up.asking
-            self._forget_if_resting(session)
+            self._forget_if_idle(session)
         return requests
 
     # --- answers
@@ -101,7 +101,7 @@ class Pursuits:
         catch_up = self._catch_ups.get(session)
         if catch_up is not None:
             catch_up.advanced(mine, now)
-            self._forget_if_resting(session)
+            self._forget_if_idle(session)
 
     def start_over(self, session: SessionId, peer: str, wrong: State, now: float) -> None:
         """Our copy of a session proved wrong and is empty now; what was sound of it is not fetched again."""
@@ -121,6 +121,6 @@ class Pursuits:
             self._catch_ups[session] = CatchUp(session, self._timers, self._jitter, self._mtu)
         return self._catch_ups[session]
 
-    def _forget_if_resting(self, session: SessionId) -> None:
-        if self._catch_ups[session].resting:
+    def _forget_if_idle(self, session: SessionId) -> None:
+        if self._catch_ups[session].idle:
             del self._catch_ups[session]

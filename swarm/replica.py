@@ -132,8 +132,7 @@ class Replica:
 
     def install(self, state: State) -> Change:
         """Become a later state of the same session, verified by whoever fetched it."""
-        before, self.state = self.state, state.copy()
-        self.checkpoint = state
+        before, self.state, self.checkpoint = self.state, state.copy(), state.copy()
         self._news.clear()
         self._ring.clear()
         self._entries.clear()

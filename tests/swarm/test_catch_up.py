@@ -215,6 +215,25 @@ def test_tiles_that_are_here_already_are_not_asked_for():
     assert {key.tx for key, _ in pursuit.ask()[1].wanted()} == {*range(11, 41)}
 
 
+def test_nothing_is_lost_while_nobody_answers():
+    """With most of all payloads lost, eight unanswered requests in a row are nothing rare."""
+    pursuit, provider, _, manifest = pursuing()
+    need = pursuit.ask()[1]
+    pursuit.offer(tiles_message(*[(key, provider.checkpoint.cells[key]) for key, _ in [*need.wanted()][:25]]))
+    while not pursuit.catch_up.resting:
+        pursuit.catch_up.poll(pursuit.replica, pursuit.catch_up.wake_at)
+    assert not pursuit.catch_up.idle
+    pursuit.hear("b", 45)
+    assert pursuit.offer(manifest, "a") is None  # it was on its way for long, from one that was asked
+    _, need = pursuit.ask()
+    assert len([*need.wanted()]) == 15
+    for message in provider.supply(need, 32768):
+        pursuit.offer(message)
+    assert pursuit.replica.state.n == 40
+    pursuit.take(*provider.answer(Want(SESSION, 40, 0)))
+    assert pursuit.catch_up.idle
+
+
 def test_a_need_fits_the_mtu_and_the_next_follows_at_once():
     pursuit, provider, _, manifest = pursuing(mtu=84)
     at, requests = pursuit.now, 0

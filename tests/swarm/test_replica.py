@@ -159,7 +159,7 @@ def test_all_copies_give_the_same_manifest_however_they_came_by_their_state():
     for update in UPDATES[:42]:
         offer(follower, update)
     jumper = new()
-    jumper.install(WRITER.checkpoint.copy())
+    jumper.install(WRITER.checkpoint)
     want = Want(SESSION, 5, 0)
     assert answers(want, follower) == answers(want, jumper) == answers(want)
 
@@ -168,12 +168,24 @@ def test_a_copy_that_jumped_serves_its_checkpoint_and_what_came_later():
     jumper = new()
     offer(jumper, UPDATES[42])
     offer(jumper, UPDATES[40])
-    change = jumper.install(WRITER.checkpoint.copy())
+    change = jumper.install(WRITER.checkpoint)
     assert {key: before for key, (before, _) in change.items()} == dict.fromkeys(WRITER.checkpoint.cells)
     assert [update.n for update, _ in jumper.drain()] == [41]
     offer(jumper, UPDATES[41])
     assert jumper.state.n == 43
     assert answers(Want(SESSION, 40, 0), jumper) == UPDATES[40:43]
+
+
+def test_a_state_that_was_installed_stays_what_it_was():
+    """It may be another's checkpoint, or be installed again somewhere else."""
+    writer, updates = written(2 * CHECKPOINT)
+    state = written(CHECKPOINT)[0].state.copy()
+    root, replica = state.root(), new()
+    replica.install(state)
+    for update in updates[CHECKPOINT:]:
+        assert offer(replica, update) == [update.n]
+    assert replica.checkpoint.root() == writer.checkpoint.root()
+    assert (state.n, state.root()) == (CHECKPOINT, root)
 
 
 def test_installing_tells_only_of_the_tiles_that_are_others_now():
@@ -182,7 +194,7 @@ def test_installing_tells_only_of_the_tiles_that_are_others_now():
     later.state.cells.update(replica.state.cells)
     key = TileKey(0, 1)
     later.write(Update.TILES, b"", {key: tile(1000)})
-    change = replica.install(later.state.copy())
+    change = replica.install(later.state)
     assert [*change] == [key]
     assert change[key][0][0, 0] == 15
 
