@@ -21,7 +21,7 @@ from agent.log_reader import LogReader
 from agent.page import Page
 from agent.page_history import History
 from agent.page_orders import Order, Play, Seek
-from agent.page_snapshot import Snapshot, Snapshots, Timeline
+from agent.page_snapshot import Snapshot, Snapshots, Timeline, Traffic
 from agent.page_tracks import Tracks
 from swarm.messages import Control, Hello, Session, Update
 from swarm.peer import Peer
@@ -40,6 +40,9 @@ _RATE_WINDOW = 5.0
 
 _TURN = 0.02
 """Seconds from one look at what a person wants to the next."""
+
+_NONE = Traffic({}, {}, {})
+"""What the recorded peer sent and dropped is in no log; what is said when one is heard, nobody hears."""
 
 
 class Moment:
@@ -103,7 +106,7 @@ class Kept:
         for descriptor in self.descriptors:  # each after the one that it replaces
             session = descriptor.session
             if session in self.states:
-                moment.peer.restore(descriptor, self.states[session].copy(), (), self.heard_at.get(session, 0.0))
+                moment.peer.restore(descriptor, self.states[session], (), self.heard_at.get(session, 0.0))
             else:
                 moment.peer.repeat(Session(descriptor.encode()), 0.0)
         moment.count = self.count
@@ -197,6 +200,7 @@ class LogPlayer:
             now=now,
             sessions=tuple(replace(view, updates_rate=rates[view.session]) for view in shown.sessions),
             bytes_rate=rates[None],
+            traffic=_NONE,
             timeline=Timeline(
                 self._seconds, self.duration, self._whole, self._log.torn, self._speed, self._history.rows
             ),

@@ -52,16 +52,15 @@ class LogReader:
         path: the file.
 
     Attributes:
-        configuration: the swarm's, as TOML; empty if the file has none (known once a message was read).
+        configuration: the swarm's, as TOML.
         torn: why the file ends early, in words; empty if it is whole (known once all was read).
 
     Raises:
-        UserError: it cannot be read, or is no MCAP file.
+        UserError: it cannot be read, is no MCAP file, or one of somebody else.
     """
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        self.configuration = ""
         self.torn = ""
         try:
             with path.open("rb") as file:
@@ -71,6 +70,17 @@ class LogReader:
             raise UserError(path, f"cannot be read: {what}", "check the path") from None
         if magic != b"\x89MCAP0\r\n":
             raise UserError(path, "is no MCAP file", "give one that --record wrote")
+        self.configuration = self._configuration()
+
+    def _configuration(self) -> str:
+        """What comes before the first message: the types of somebody else's may be any."""
+        for record in self._records():
+            match record:
+                case Metadata(name=name, metadata=table) if name == METADATA and "configuration" in table:
+                    return str(table["configuration"])
+                case Message():
+                    break
+        raise UserError(self._path, "holds no configuration", "give a file that --record wrote")
 
     def __iter__(self) -> Iterator[Logged]:
         self.torn = ""
@@ -78,8 +88,6 @@ class LogReader:
         channels: dict[int, Channel] = {}
         for record in self._records():
             match record:
-                case Metadata(name=name, metadata=table) if name == METADATA:
-                    self.configuration = table.get("configuration", "")
                 case Schema():
                     schemas[record.id] = record
                 case Channel():
@@ -134,13 +142,9 @@ class LogReader:
         """The recorded swarm's configuration.
 
         Raises:
-            UserError: there is none.
+            UserError: it is none.
         """
-        next(iter(self), None)
         try:
-            table = tomllib.loads(self.configuration)
-        except ValueError:
-            table = {}
-        if not table:
-            raise UserError(self._path, "holds no configuration", "give a file that --record wrote")
-        return table
+            return tomllib.loads(self.configuration)
+        except ValueError as error:
+            raise UserError(self._path, f"holds no configuration: {error}", "give a file that --record wrote") from None

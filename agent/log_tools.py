@@ -19,7 +19,7 @@ from agent.files import prepare_folder, read_bytes, write_whole
 from agent.log_reader import LogReader
 from agent.log_writer import LogWriter
 from agent.microcontroller import CLOCK_MS
-from agent.ros_messages import published_scans
+from agent.published import published_scans
 from mapping.pose import FULL_TURN
 from swarm.messages import Hello, Update
 from swarm.peer import Peer
@@ -97,7 +97,6 @@ def recover(torn: Path, out: Path) -> tuple[int, str]:
         UserError: a file cannot be read or written.
     """
     log = LogReader(torn)
-    next(iter(log), None)
     writer = LogWriter(out, log.configuration)
     try:
         for logged in log:
@@ -162,7 +161,7 @@ def export_truth(path: Path, folder: Path) -> list[Path]:
         with np.load(io.BytesIO(read_bytes(path)), allow_pickle=False) as file:
             robots, stamps_ms, poses = file["robots"].tolist(), file["stamps_ms"], file["poses"]
             tables = [np.column_stack([(stamps_ms + CLOCK_MS) / 1000, poses[:, k]]) for k in range(len(robots))]
-    except (ValueError, KeyError, EOFError, IndexError, zipfile.BadZipFile) as error:
+    except (ValueError, TypeError, KeyError, EOFError, IndexError, zipfile.BadZipFile) as error:
         raise UserError(path, f"holds no true ways: {error}", "give the truth.npz of a demo") from None
     return [_write_tum(folder / f"{robot}-truth.tum", table) for robot, table in zip(robots, tables, strict=True)]
 

@@ -20,6 +20,7 @@ from agent.map_files import save_map
 from agent.node import SOFTWARE, Node
 from agent.outputs import Outputs
 from agent.page import NoPage, Page
+from agent.published import published_scans
 from agent.scan_record import ScanRecord, save_scans
 from mapping.grid import Grid
 from mapping.map_picture import Trail, robot_colour
@@ -27,7 +28,6 @@ from swarm.contributions import contributions
 from swarm.messages import Hello, Update
 from swarm.peer import Peer
 from swarm.radio import PROFILES
-from swarm.scan_block import decode_scans
 from swarm.session import Descriptor, SessionId
 
 
@@ -79,14 +79,9 @@ class Trails:
 
     def __call__(self, descriptor: Descriptor, update: Update) -> None:
         """Take an applied update."""
-        if update.form == Update.SCANS:
-            sensor = descriptor.sensor
-            scans = decode_scans(update.payload, len(sensor.beams), sensor.max_range_mm)
-        elif update.trail:
-            scans = decode_scans(update.trail, 0, 0)
-        else:
-            return
-        self._poses.setdefault(update.session, []).append(scans.poses[:, :2] / 1000)
+        scans = published_scans(descriptor, update)
+        if scans is not None:
+            self._poses.setdefault(update.session, []).append(scans.poses[:, :2] / 1000)
 
     def points(self, session: SessionId) -> NDArray[np.float64]:
         """One session's trail in metres, shape (N, 2)."""
@@ -122,7 +117,7 @@ def run_observer(
             prepare_folder(file.absolute().parent)
     called = name or "observer"
     trails, kept = Trails(), ScanRecord()
-    outlets = open_outlets(outputs, config)
+    outlets: list[Outlet] = []
     live = NoPage() if outputs.page is None else Page(config, outputs.page)
 
     def listen(descriptor: Descriptor, update: Update) -> None:
@@ -134,6 +129,7 @@ def run_observer(
             kept(descriptor, update)
 
     with live, open_keeper(config, called, outputs.state) as keeper, open_bus(config, called) as bus:
+        outlets += open_outlets(outputs, config)  # last, for a log is there from then on
         hello = Hello(Hello.OBSERVER, called.encode(), SOFTWARE)
         profile = PROFILES[config.radio]
         node = Node(bus, config.rules(), hello, now=time.monotonic(), profile=profile, listener=listen, keeper=keeper)
@@ -153,6 +149,7 @@ def run_observer(
                     control.tell("trouble", what=outlet.status)
 
         node.run(control, watch)
+        told = {key: value for outlet in outlets for key, value in outlet.close().items()}  # whatever goes wrong below
         grid = Grid.of(node.peer.fusion.tiles, config.rules().lattice)
         # before the bus is left: a mute peer may hold that up for seconds
         files = {} if out is None else write_maps(node.peer, grid, trails, config.roster, out)
@@ -160,7 +157,6 @@ def run_observer(
             save_scans(outputs.scans, kept.sessions())
         live.end()
         facts = {"tiles": len(node.peer.fusion.tiles), "known_m2": round(grid.known_m2, 6)}
-        told = {key: value for outlet in outlets for key, value in outlet.close().items()}
         return {**facts, **node.summary(), **told, "files": files}
 
 

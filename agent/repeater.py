@@ -22,8 +22,8 @@ from agent.links import open_bus
 from agent.log_reader import LogReader
 from agent.node import SOFTWARE, NoBody, Node
 from agent.probes import NoProbes, Probes
+from agent.published import published_scans
 from agent.readings import Readings
-from agent.ros_messages import published_scans
 from swarm.messages import Hello, Session, Update
 from swarm.radio import PROFILES
 from swarm.session import Descriptor, SessionId

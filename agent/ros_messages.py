@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.published import published_scans
 from agent.ros_types import GRID, POINTS, POSE, SCAN, TRANSFORMS, encode, make
 from mapping.evidence import probability
 from mapping.grid import Grid
@@ -21,7 +22,6 @@ from mapping.pose import FULL_TURN, Pose, from_turn16
 from mapping.scan import INVALID, NO_RETURN, Scans
 from mapping.sensor import Sensor
 from swarm.messages import Update
-from swarm.scan_block import decode_scans
 from swarm.session import Descriptor
 
 MAP_FRAME = "map"
@@ -57,13 +57,6 @@ def ros_name(robot: str) -> str:
 def pose_topic(robot: str) -> str:
     """Where a robot's poses are."""
     return f"/{ros_name(robot)}/pose"
-
-
-def published_scans(descriptor: Descriptor, update: Update) -> Scans | None:
-    """The scans that an update carries; poses with no ranges, if that is all; None if there are none."""
-    if update.form == Update.SCANS:
-        return decode_scans(update.payload, len(descriptor.sensor.beams), descriptor.sensor.max_range_mm)
-    return decode_scans(update.trail, 0, 0) if update.trail else None
 
 
 def update_messages(descriptor: Descriptor, update: Update) -> list[RosMessage]:

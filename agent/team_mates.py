@@ -13,13 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.driver import ROBOT_RADIUS
+from agent.published import published_scans
 from agent.tracks import Span, Track
 from mapping.pose import FULL_TURN
 from mapping.scan import INVALID, NO_RETURN, Scans
 from mapping.sensor import Sensor
 from swarm.drops import Drop
 from swarm.messages import Update
-from swarm.scan_block import decode_scans
 from swarm.session import Descriptor, SessionId
 
 MARGIN = 0.03
@@ -152,6 +152,5 @@ def falls_on(
 
 def _poses(descriptor: Descriptor, update: Update) -> Scans:
     """Stamps and poses that an update carries, whatever its form."""
-    if update.form == Update.SCANS:
-        return decode_scans(update.payload, len(descriptor.sensor.beams), descriptor.sensor.max_range_mm)
-    return decode_scans(update.trail, 0, descriptor.sensor.max_range_mm) if update.trail else Scans.empty(0)
+    scans = published_scans(descriptor, update)
+    return Scans.empty(0) if scans is None else scans

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from mcap.writer import Writer
 from rosbags.highlevel import AnyReader
 from typer.testing import CliRunner
 
@@ -102,6 +103,38 @@ def test_trajectories_are_those_of_the_sessions_that_count(made: tuple[Path, Pee
     assert np.allclose(2 * np.arctan2(table[:, 6], table[:, 7]), 0.1, atol=1e-4)
     truth = np.loadtxt(tmp_path / "tum" / "r1-truth.tum")
     assert truth[:, :3].tolist() == [[1.0, 1.0, 2.0], [1.1, 3.0, 4.0]]
+
+
+@pytest.fixture(params=["ros2msg", "protobuf", ""])
+def strange(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
+    """An MCAP file of somebody else."""
+    with (tmp_path / "strange.mcap").open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        schema = writer.register_schema("foo/msg/Bar", request.param, b"\xff\x00") if request.param else 0
+        channel = writer.register_channel("/bar", "cdr", schema)
+        writer.add_message(channel, 1, b"....", 1)
+        writer.finish()
+    return tmp_path / "strange.mcap"
+
+
+@pytest.mark.parametrize(
+    "words", [["info"], ["show"], ["recover", "out.mcap"], ["export", "--tum", "tum"], ["export", "--rosbag2", "bag"]]
+)
+def test_a_file_of_somebody_else_is_refused_in_words(strange: Path, tmp_path: Path, words: list[str]) -> None:
+    run_in = [str(tmp_path / word) if "." in word or word in {"tum", "bag"} else word for word in words[1:]]
+    with pytest.raises(UserError, match="holds no configuration"):
+        run(words[0], strange, *run_in)
+    assert [each.name for each in tmp_path.iterdir()] == ["strange.mcap"]
+
+
+def test_what_is_no_truth_is_refused_in_words(made: tuple[Path, Peer], tmp_path: Path) -> None:
+    np.save(tmp_path / "poses.npy", np.zeros(3))
+    (tmp_path / "text.npz").write_text("no")
+    np.savez(tmp_path / "map.npz", cells=np.zeros(3))
+    for name in ("poses.npy", "text.npz", "map.npz"):
+        with pytest.raises(UserError, match="holds no true ways"):
+            run("export", made[0], "--tum", tmp_path / "tum", "--truth", tmp_path / name)
 
 
 @pytest.mark.parametrize(

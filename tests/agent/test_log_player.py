@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
+import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -14,6 +15,7 @@ from agent.config import Config
 from agent.errors import UserError
 from agent.log_player import LogPlayer
 from agent.log_reader import LogReader
+from agent.overview import Overview
 from agent.page_orders import Evict, Play, Seek
 from agent.page_tracks import Tracks
 from agent.recorder import Recorder
@@ -102,6 +104,18 @@ def test_wherever_one_jumps_it_is_as_it_was_then(log, player, shares) -> None:
                 assert view.track.hits_in_all == tracks.of(view.session).hits_in_all
 
 
+def test_what_is_told_of_a_time_does_not_depend_on_the_way_there(log, player, monkeypatch) -> None:
+    monkeypatch.setattr(log_player, "KEEP_EVERY", 10**9)
+    from_the_beginning = LogPlayer(log)
+    from_the_beginning.read(math.inf)
+    for share in np.linspace(0, 1, 15):
+        told = []
+        for each in (player, from_the_beginning):
+            each.obey(Seek(share * player.duration), 0.0)
+            told.append(Overview("lab", []).of(each.take(0.0), exact=True))
+        assert told[0] == told[1]
+
+
 def test_it_begins_at_the_end_and_plays_from_the_beginning(log, player) -> None:
     shown = player.take(50.0)
     assert shown.timeline.seconds == shown.timeline.duration == player.duration > 0
@@ -115,6 +129,14 @@ def test_it_begins_at_the_end_and_plays_from_the_beginning(log, player) -> None:
     assert player.take(60.5).timeline.seconds == 3.5
     end = player.take(1000.0).timeline
     assert (end.seconds, end.speed) == (player.duration, 0.0)
+
+
+def test_whoever_goes_to_the_end_that_he_is_told_of_is_there(player) -> None:
+    player._times[-1] += 0.0004  # no log ends with a whole millisecond
+    player.obey(Seek(0.0), 0.0)
+    told = Overview("lab", []).of(player.take(0.0))["timeline"]
+    player.obey(Seek(told["duration"]), 0.0)
+    assert player._at_end
 
 
 def test_what_has_been_read_can_be_shown_while_the_rest_is_read(log, player) -> None:
