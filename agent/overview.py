@@ -66,7 +66,7 @@ class Overview:
             "clear_hit": snapshot.rules.model.occupied,
             "digest": self._digest,
             "agree": bool(snapshot.peers) and all(peer.same for peer in snapshot.peers) and not behind,
-            "tiles": len(snapshot.fused),
+            "tiles": self.history.tiles,
             "known_m2": self.history.known_m2,
             "bytes_rate": round(snapshot.bytes_rate),
             "budget": self._budget,
@@ -87,7 +87,7 @@ class Overview:
     def _is_late(self, snapshot: Snapshot) -> bool:
         """Whether the digest is to be made anew: at once where nothing else is going on."""
         stands = snapshot.timeline is not None and snapshot.timeline.whole and snapshot.timeline.speed == 0
-        return stands or abs(snapshot.now - self._digest_at) >= _DIGEST_PERIOD  # in a log one may go back
+        return stands or snapshot.now - self._digest_at >= _DIGEST_PERIOD
 
     def _session(self, view: SessionView) -> dict[str, Any]:
         standing = view.contribution
@@ -121,8 +121,8 @@ def budget(radio: str) -> float | None:
 
 def _told(timeline: Timeline) -> dict[str, Any]:
     return {
-        "seconds": round(timeline.seconds, 3),
-        "duration": round(timeline.duration, 3),
+        "seconds": timeline.seconds,
+        "duration": timeline.duration,  # to the bit: whoever goes there is to be at the end
         "whole": timeline.whole,
         "torn": timeline.torn,
         "speed": timeline.speed,

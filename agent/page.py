@@ -34,7 +34,7 @@ _LAST_FRAMES = 3.0
 """Seconds that browsers have to take the last of it."""
 
 _BROWSER_STARTS = 10.0
-"""Seconds that a browser which we started has to show up."""
+"""Seconds from the beginning that a browser which we started has to show up."""
 
 
 class NoPage:
@@ -82,8 +82,10 @@ class Page:
         self._orders = Orders()
         self._mailbox = Mailbox()
         self._source: Source | None = None
+        self._began = 0.0
 
     def __enter__(self) -> Self:
+        self._began = time.monotonic()
         self._server.start()
         return self
 
@@ -117,7 +119,7 @@ class Page:
             return
         self._mailbox.last = self._source.take(time.monotonic())
         if self._open:
-            self._mailbox.visited.wait(_BROWSER_STARTS)
+            self._mailbox.visited.wait(max(0.0, self._began + _BROWSER_STARTS - time.monotonic()))
         self._mailbox.seen_off.wait(_LAST_FRAMES)
 
     def _app(self, token: str | None) -> ASGIApp:

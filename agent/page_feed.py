@@ -134,12 +134,15 @@ class Feed:
         if tiles is before:
             return set()
         changed = {key for key, cells in tiles.items() if before.get(key) is not cells}
+        gone = before.keys() - tiles.keys()  # a copy that started over or was replaced, or a time before
         if snapshot.timeline is None:
             when = self._seen.setdefault(layer, {})
             for key in changed:
                 seen = when.setdefault(key, np.full((TILE, TILE), -np.inf))
                 seen[before.get(key, _ZERO) != tiles[key]] = snapshot.now
-        return changed | (before.keys() - tiles.keys())  # a copy that started over, or a time before
+            for key in gone:
+                del when[key]
+        return changed | gone
 
     # --- what is known
 
@@ -196,6 +199,7 @@ class Browser:
 
     Attributes:
         lacks: by layer, the tiles of which it has not the newest content.
+        done: whether the last frame of all has been made.
     """
 
     def __init__(self, feed: Feed) -> None:
@@ -206,6 +210,7 @@ class Browser:
         self._history = -1.0
         self._overview: set[TileKey] = set()
         self.lacks: dict[str, set[TileKey]] = {}
+        self.done = False
 
     def note(self, changed: Mapping[str, Collection[TileKey]]) -> None:
         """Tiles have changed."""
@@ -227,7 +232,7 @@ class Browser:
         if history := [row for row in self._feed.history if row.seconds > self._history]:
             content["history"], self._history = history, history[-1].seconds
         if self._feed.ended and not self.lacks:
-            content["ended"] = True
+            content["ended"] = self.done = True
         return bytes(msgpack.packb(content)) if content else None
 
     def _tiles(self) -> Iterator[tuple[str, int, bytes, bytes]]:

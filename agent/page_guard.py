@@ -65,7 +65,7 @@ class Guard:
         host, origin = headers.get("host", ""), headers.get("origin")
         if self._token is None and not is_loopback(_name(host)):
             return PlainTextResponse("this page is for this machine alone", 421)
-        if origin is not None and urlsplit(origin).netloc != host:
+        if origin is not None and _site(origin) != host:
             return PlainTextResponse("another page asks", 403)
         if self._token is None:
             return None
@@ -90,6 +90,14 @@ def _name(host: str) -> str:
         return urlsplit(f"//{host}").hostname or ""
     except ValueError:
         return ""
+
+
+def _site(origin: str) -> str | None:
+    """The host with its port; None if it is no address."""
+    try:
+        return urlsplit(origin).netloc
+    except ValueError:
+        return None
 
 
 def _cookie(headers: Headers) -> str:

@@ -20,11 +20,13 @@ class History:
 
     Attributes:
         known_m2: how many square metres are known now.
+        tiles: in how many tiles they lie.
         rows: in order of time; never written again, another list takes its place.
     """
 
     def __init__(self) -> None:
         self.known_m2 = 0.0
+        self.tiles = 0
         self.rows: list[HistoryRow] = []
         self._period = HISTORY_PERIOD
         self._tiles: dict[TileKey, Cells] = {}
@@ -37,12 +39,17 @@ class History:
         for key in changed:
             before, after = self._tiles.pop(key, None), tiles.get(key)
             if before is not None:
-                self._cells -= int(np.count_nonzero(before))
+                self._count(before, -1)
             if after is not None:
-                self._cells += int(np.count_nonzero(after))
+                self._count(after, 1)
                 self._tiles[key] = after
         self.known_m2 = round(self._cells * lattice.cell**2, 4)
         return changed
+
+    def _count(self, cells: Cells, sign: int) -> None:
+        known = int(np.count_nonzero(cells))
+        self._cells += sign * known
+        self.tiles += sign * (known > 0)
 
     def due(self, seconds: float) -> bool:
         """Whether it is time for another row."""

@@ -53,7 +53,7 @@ class PageOptions:
             UserError: it cannot.
         """
         ports = [PORT, 0] if self.port is None else [self.port]
-        return listen(self.host, ports, "--port", "give another one, or --no-page")
+        return listen(self.host, ports, "--port", "give another one, or another --host")
 
 
 def listen(host: str, ports: list[int], option: str, remedy: str) -> socket.socket:

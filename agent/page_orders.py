@@ -77,7 +77,9 @@ class Orders:
         return done
 
     def carry_out(self, obey: Callable[[Order, float], None], now: float) -> bool:
-        """Have all that wait carried out; called by the loop. Gives whether there were any.
+        """Have all that wait carried out, but for those that nobody waits for any more; called by the loop.
+
+        Gives whether there were any.
 
         Args:
             obey: carries one out (``agent.page_source.Source``); a ValueError tells why it cannot be.
@@ -90,6 +92,8 @@ class Orders:
             except queue.Empty:
                 return any_were
             any_were = True
+            if not done.set_running_or_notify_cancel():
+                continue
             try:
                 obey(order, now)
             except ValueError as error:

@@ -108,9 +108,12 @@ class _Pages:
             elif (newest := self._mailbox.newest) is not None and newest is not self._feed.snapshot:
                 self._feed.take(newest)
             await asyncio.sleep(_LOOK)
-        while self._open:
-            await asyncio.sleep(_LOOK)
-        self._mailbox.seen_off.set()
+        self._see_off()
+
+    def _see_off(self) -> None:
+        """Tell the loop, if everybody who is there has had the last of it."""
+        if self._feed.ended and not self._open:
+            self._mailbox.seen_off.set()
 
     # --- the live socket
 
@@ -118,6 +121,7 @@ class _Pages:
         await socket.accept()
         browser = self._feed.join()
         self._open += 1
+        self._mailbox.seen_off.clear()  # after the end, such as a browser that we have just started
         tasks = [asyncio.create_task(self._send(socket, browser)), asyncio.create_task(_until_gone(socket))]
         try:
             done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
@@ -130,6 +134,7 @@ class _Pages:
             await asyncio.gather(*tasks, return_exceptions=True)
             self._feed.leave(browser)
             self._open -= 1
+            self._see_off()
 
     async def _send(self, socket: WebSocket, browser: Browser) -> None:
         """A frame every 100 ms; while it lacks tiles as fast as it takes them; in silence an empty one now and then."""
@@ -142,7 +147,7 @@ class _Pages:
                 await socket.send_bytes(frame)  # waits for a browser that takes nothing
                 said_at = time.monotonic()
                 self._mailbox.visited.set()
-            if self._feed.ended and not browser.lacks:
+            if browser.done:
                 await socket.close(1000, "the observer has ended")
                 return
             await asyncio.sleep(0 if FUSED in browser.lacks else _BREATH if browser.lacks else _PERIOD)

@@ -16,7 +16,7 @@ from mapping.lattice import Cells, TileKey
 from mapping.pose import QuantisedPose
 from mapping.tiles import Tiles
 from swarm.contributions import Contribution, contributions
-from swarm.messages import Digest, Hello
+from swarm.messages import REFUSED, Digest, Hello
 from swarm.peer import Peer
 from swarm.session import Rules, SessionId
 from swarm.state import State
@@ -182,6 +182,8 @@ class Snapshots:
         self._lost = lost
         self._tiles: dict[SessionId, tuple[State, int, dict[TileKey, Cells]]] = {}
         self._rates: dict[object, Rate] = {}
+        self._counted: dict[str, int] = {}
+        self._heard_in_all = 0
 
     def take(self, now: float) -> Snapshot:
         """What the peer knows now."""
@@ -198,7 +200,7 @@ class Snapshots:
             fused=peer.fusion.tiles.copy(),
             sessions=tuple(self._session(each, writers, now) for each in contributions(peer, now)),
             peers=tuple(self._peers(rates)),
-            bytes_rate=self._rate(None, now, sum(self._heard.values())),
+            bytes_rate=self._rate(None, now, self._in_all()),
             traffic=Traffic({**peer.dropped, **self._lost()}, dict(peer.sent_bytes), dict(peer.outbox.spent)),
         )
 
@@ -231,6 +233,12 @@ class Snapshots:
         self._tiles[session] = state, state.n, tiles
         return tiles
 
+    def _in_all(self) -> int:
+        """Payload bytes heard so far, also from those who have left."""
+        before, self._counted = self._counted, dict(self._heard)
+        self._heard_in_all += sum(max(0, count - before.get(name, 0)) for name, count in self._counted.items())
+        return self._heard_in_all
+
     def _peers(self, rates: Mapping[str, float]) -> list[PeerView]:
         views = []
         for peer, hello in self._peer.peers.items():
@@ -242,9 +250,11 @@ class Snapshots:
     def _is_ours(self, told: Digest) -> bool:
         """Whether a peer that said so holds the same updates and decisions, hence the same map."""
         held = {session: replica.state.n for session, replica in self._peer.replicas.items()}
-        theirs = {session: n for session, n in told.positions().items() if session in held}
-        ours = held if told.complete else {session: held[session] for session in theirs}
-        return told.controls == self._peer.controls.check and theirs == ours
+        known, theirs = self._peer.descriptors, told.positions()
+        strange = any(n not in {0, REFUSED} for session, n in theirs.items() if session not in known)
+        shared = {session: n for session, n in theirs.items() if session in held}
+        ours = held if told.complete else {session: held[session] for session in shared}
+        return told.controls == self._peer.controls.check and shared == ours and not strange
 
     def _rate(self, of: object, now: float, count: int) -> float:
         return self._rates.setdefault(of, Rate())(now, count)

@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.column import Column
+from agent.published import published_scans
 from mapping.pose import FULL_TURN
 from mapping.scan import INVALID, NO_RETURN, Scans
 from mapping.sensor import Sensor
 from swarm.messages import Update
-from swarm.scan_block import decode_scans
 from swarm.session import Descriptor, SessionId
 
 STRIDE_MM = 20
@@ -62,15 +62,11 @@ class Tracks:
 
     def __call__(self, descriptor: Descriptor, update: Update) -> None:
         """Take an applied update."""
-        sensor = descriptor.sensor
-        if update.form == Update.SCANS:
-            scans = decode_scans(update.payload, len(sensor.beams), sensor.max_range_mm)
-        elif update.trail:
-            scans = decode_scans(update.trail, 0, 0)
-        else:
+        scans = published_scans(descriptor, update)
+        if scans is None:
             return
         before = self.of(update.session)
-        new = hits(scans, sensor)
+        new = hits(scans, descriptor.sensor)
         trail, stride_mm = self._extended(update.session, before, scans.poses)
         self._tracks[update.session] = Track(
             trail=trail,

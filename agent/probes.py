@@ -62,7 +62,7 @@ class Probes:
     def __init__(self, config: Config, host: str, port: int) -> None:
         self._config = config
         self._mailbox = Mailbox()
-        listener = listen(host, [port], "--metrics-port", "give another one")
+        listener = listen(host, [port], "--metrics-port", "give another one, or another --metrics-host")
         self._server = WebServer(listener, host, self._app)
         self.url = self._server.url
 

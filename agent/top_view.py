@@ -44,9 +44,8 @@ def screen(state: dict[str, Any], grid: Grid, width: int, height: int, *, colour
     rows = table(state, max(1, room if beside else room - min(_LEAST_MAP, room // 2)))
     if beside:
         columns = Table.grid(Column(width=_TABLE_WIDTH), Column(), padding=(0, 2, 0, 0))
-        columns.add_row(
-            Group(rows, Text(), *facts), picture(state, grid, width - _TABLE_WIDTH - 4, height - 2, colours=colours)
-        )
+        large = picture(state, grid, width - _TABLE_WIDTH - 4, max(1, height - 2), colours=colours)
+        columns.add_row(Group(rows, Text(), *facts), large)
         return Group(heading(state, width), columns)
     small = picture(state, grid, width, max(1, room - rows.row_count), colours=colours)
     return Group(heading(state, width), rows, Text(), *facts, small)
@@ -101,7 +100,8 @@ def table(state: dict[str, Any], most: int | None = None) -> Table:
 
 
 def _rows(state: dict[str, Any]) -> Iterator[tuple[Text, ...]]:
-    same = {peer["name"]: peer["same"] for peer in state["peers"] if peer["robot"]}
+    robots = sorted((peer for peer in state["peers"] if peer["robot"]), key=lambda peer: peer["same"] is not True)
+    same = {peer["name"]: peer["same"] for peer in robots}  # of two of one name, what the one says that does not agree
     for it in state["sessions"]:
         if it["replaced"]:
             continue
@@ -210,7 +210,7 @@ def _count(count: int, what: str) -> str:
 def _bytes(count: int) -> str:
     """To three digits or so."""
     for unit, size in (("kB", 1e3), ("MB", 1e6), ("GB", 1e9)):
-        if count < 1000 * size:
+        if count < 999.5 * size:
             return f"{count} B" if count < 1000 else f"{count / size:.3g} {unit}"
     return f"{count / 1e12:.3g} TB"
 

@@ -38,6 +38,7 @@ class WebServer:
         self._token = None if is_loopback(host) else secrets.token_urlsafe(18)
         self._build = build
         self._server: uvicorn.Server | None = None
+        self._stopped = False
         self._thread = threading.Thread(target=self._serve, name="orion-web", daemon=True)
         address, port = listener.getsockname()[:2]
         query = "" if self._token is None else f"?token={self._token}"
@@ -49,6 +50,7 @@ class WebServer:
 
     def stop(self) -> None:
         """End; what is under way has a moment."""
+        self._stopped = True
         if self._server is not None:
             self._server.should_exit = True
         self._thread.join(_ENDING)
@@ -68,4 +70,6 @@ class WebServer:
                 timeout_graceful_shutdown=1,
             )
         )
-        self._server.run(sockets=[self._socket])
+        with self._socket:
+            if not self._stopped:  # while we imported
+                self._server.run(sockets=[self._socket])

@@ -32,9 +32,10 @@ def test_area_and_digest_are_those_of_the_map_that_is_there_now(watched, straigh
         told = overview.of(snapshot)
         assert told["known_m2"] == pytest.approx(Grid.of(snapshot.fused, watched.RULES.lattice).known_m2)
         assert told["digest"] == watched.observer.fusion.digest().hex()
+        assert told["tiles"] == len(snapshot.fused) > 0
     watched.observer.evict(b"r1r1r1r1", watched.now)
     told = overview.of(snapshots.take(watched.now), exact=True)
-    assert (told["known_m2"], told["digest"]) == (0.0, map_digest({}).hex())
+    assert (told["known_m2"], told["tiles"], told["digest"]) == (0.0, 0, map_digest({}).hex())
 
 
 def test_digests_are_made_once_a_second_at_most_if_not_asked_for(watched, straight, overview, snapshots) -> None:

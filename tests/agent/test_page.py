@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import io
 import json
 import os
@@ -14,6 +15,7 @@ import urllib.error
 import urllib.request
 import zipfile
 from pathlib import Path
+from types import SimpleNamespace
 
 import msgpack
 import numpy as np
@@ -22,8 +24,14 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
 from agent.config import Config
+from agent.overview import Overview
 from agent.page import Page
+from agent.page_feed import Feed
+from agent.page_mailbox import Mailbox
 from agent.page_options import PageOptions
+from agent.page_orders import Orders
+from agent.page_server import _Pages
+from agent.page_snapshot import Snapshots
 from mapping.lattice import TILE, TileKey
 from mapping.map_archive import decode_npz
 from mapping.tiles import map_digest
@@ -170,6 +178,7 @@ def test_orders_are_carried_out_by_the_loop_and_shown(serve, watched, straight) 
         (415, "api/evict", {}, {"content_type": "text/plain"}),
         (413, "api/evict", {"session": "0" * 5000}, {}),
         (403, "api/evict", {}, {"origin": "http://evil.example"}),
+        (403, "api/evict", {}, {"origin": "http://["}),
         (404, "api/map.gif", None, {}),
         (400, "api/cell?i=1", None, {}),
         (400, "api/cell?i=1&j=99999999999", None, {}),
@@ -282,6 +291,38 @@ def test_at_the_end_everybody_has_the_last_map_and_knows_that_it_is(serve, watch
         with pytest.raises(ConnectionClosed, match="1000"):
             socket.recv(timeout=PATIENCE)
     assert ask(page.url, "api/evict", data={"session": "0" * 16})[0] == 409
+
+
+@pytest.mark.parametrize(("end", "seconds"), [(4.0, 6.0), (3600.0, 0.0)])
+def test_a_browser_has_the_first_seconds_to_show_up_and_not_the_last(watched, monkeypatch, end, seconds) -> None:
+    now, waits = [0.0], []
+    monkeypatch.setattr("agent.page.time", SimpleNamespace(monotonic=lambda: now[0]))
+    monkeypatch.setattr("webbrowser.open", lambda url: True)
+    with Page(Config(), PageOptions(port=0, open=True)) as page:
+        page.watch(watched.observer, watched.heard)
+        monkeypatch.setattr(page._mailbox.visited, "wait", waits.append)
+        now[0] = end
+        page.end()
+    assert waits == [seconds]
+
+
+def test_the_end_is_told_to_a_browser_that_was_just_being_sent_something(watched) -> None:
+    snapshots, feed, sent = Snapshots(watched.observer, watched.tracks, watched.heard), Feed(Overview("lab", [])), []
+    feed.take(snapshots.take(0.0))
+
+    class Slow:
+        async def send_bytes(self, frame: bytes) -> None:
+            sent.append(msgpack.unpackb(frame))
+            if not feed.ended:
+                feed.end(snapshots.take(1.0))
+
+        async def close(self, code: int, reason: str) -> None:
+            sent.append({"closed": code})
+
+    asyncio.run(_Pages(feed, Mailbox(), Orders())._send(Slow(), feed.join()))
+    assert sent[-2]["ended"]
+    assert sent[-2]["state"]["ended"]
+    assert sent[-1] == {"closed": 1000}
 
 
 def test_a_robots_agent_imports_nothing_of_the_page() -> None:

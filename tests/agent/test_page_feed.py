@@ -189,6 +189,20 @@ def test_it_is_told_who_saw_a_cell_and_when(watched, straight, feed) -> None:
     assert feed.cell(-1000, 5000)["witnesses"] == []
 
 
+def test_of_a_session_that_is_replaced_nothing_is_remembered(watched, straight, feed) -> None:
+    snapshots = Snapshots(watched.observer, watched.tracks, watched.heard)
+    session = watched.robot("r1")
+    watched.sense("r1", straight(5))
+    feed.take(snapshots.take(watched.now))
+    assert feed._seen[session.hex()]
+    again = Descriptor("r1", b"again-r1", watched.RULES, orion(), QuantisedPose(0, 0, 0), session)
+    watched._robots["r1"].open_session(again)
+    watched.sense("r1", straight(5))
+    feed.take(snapshots.take(watched.now))
+    assert not feed._seen[session.hex()]
+    assert [each["session"] for each in feed.cell(0, 0)["witnesses"]] == [again.session.hex()]
+
+
 def test_an_evicted_robot_leaves_the_map_and_keeps_its_layer(watched, straight, feed) -> None:
     snapshots = Snapshots(watched.observer, watched.tracks, watched.heard)
     session = watched.robot("r1")

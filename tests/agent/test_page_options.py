@@ -25,7 +25,7 @@ def test_without_a_port_any_will_do() -> None:
 
 
 def test_an_address_of_somebody_else_is_refused() -> None:
-    with pytest.raises(UserError, match=r"--port: 192\.0\.2\.1:0"):
+    with pytest.raises(UserError, match=r"--port: 192\.0\.2\.1:0: .*; give another one, or another --host"):
         PageOptions(host="192.0.2.1", port=0).listen()
 
 

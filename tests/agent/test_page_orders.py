@@ -88,3 +88,14 @@ def test_orders_do_not_pile_up() -> None:
         orders.give(Place("r1", QuantisedPose(0, 0, 0)))
     with pytest.raises(ValueError, match="too many"):
         orders.give(Place("r1", QuantisedPose(0, 0, 0)))
+
+
+def test_an_order_that_nobody_waits_for_any_more_is_not_carried_out(watched) -> None:
+    session = watched.robot("r1")
+    watched.talk()
+    orders = Orders()
+    given_up, next_one = orders.give(Evict(session, readmit=False)), orders.give(Place("r1", QuantisedPose(1, 2, 3)))
+    assert given_up.cancel()
+    assert orders.carry_out(source_of(watched).obey, watched.now)
+    assert session not in watched.observer.controls.evicted
+    assert next_one.result(0) is None

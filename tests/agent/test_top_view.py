@@ -109,6 +109,14 @@ def test_an_observer_has_a_line_and_a_replaced_session_none() -> None:
     assert lines[0].split()[:6] == ["lab", "1", "robot,", "1", "other", "peer"]
 
 
+@pytest.mark.parametrize("order", [1, -1])
+def test_of_two_robots_of_one_name_neither_agrees_unless_both_do(order: int) -> None:
+    peers = [peer(same=True), peer(same=False)][::order]
+    lines = drawn(report(state([session(session=each * 8) for each in ("0a", "0b")], peers), 80))
+    assert sum("●" in line for line in lines) == 2
+    assert not any("✓" in line for line in lines)
+
+
 def test_that_all_agree_is_marked_beside_the_digest() -> None:
     assert "✓ all agree" in line_of(drawn(report(state([], [peer()], agree=True), 80)), "0123456789abcdef")
     assert "0 of 1 agree" in drawn(report(state([], [peer(same=None)]), 80))[1]
@@ -127,6 +135,12 @@ def test_what_was_dropped_and_spent_is_told() -> None:
     assert line_of(lines, "dropped").split() == ["dropped", "stale", "3"]
     assert line_of(lines, "spent").split(maxsplit=1)[1] == "updates 5 B, digests 0 B, repair 1.24 kB"
     assert line_of(drawn(report(state([], []), 80)), "dropped").split() == ["dropped", "nothing"]
+
+
+def test_bytes_are_told_to_three_digits() -> None:
+    spent = {"updates": 999, "digests": 999_499, "requests": 999_500}
+    lines = drawn(report(state([], [], spent=spent), 80))
+    assert line_of(lines, "spent").split(maxsplit=1)[1] == "updates 999 B, digests 999 kB, repair 1 MB"
 
 
 def test_a_report_leaves_out_no_word() -> None:
@@ -149,6 +163,12 @@ def test_it_fits_and_shows_the_map_and_as_many_robots_as_there_is_room_for(width
     assert any(mark in line for line in lines for mark in "█▀▄")
     shown = sum("●" in line for line in lines)
     assert shown == robots or line_of(lines, "more").split()[:2] == ["and", str(robots - shown)]
+
+
+@pytest.mark.parametrize("width", [20, 160])
+def test_a_terminal_that_is_hardly_there_is_drawn_on_too(width: int) -> None:
+    for height in (1, 2, 3):
+        assert drawn(screen(state([session()], [peer()]), grid(ROOM), width, height, colours=True), width, height)
 
 
 def test_the_map_lies_beside_the_table_where_there_is_room() -> None:

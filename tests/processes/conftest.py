@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import importlib.util
 import json
 import math
 import os
@@ -23,6 +24,7 @@ import pytest
 import tomli_w
 
 from agent.map_files import load_map
+from agent.page_server import BUNDLE
 from agent.playback import RecordedBody
 from agent.recording import Recording
 from agent.world import World
@@ -382,3 +384,28 @@ class Truth:
 def truth() -> Truth:
     """The truth, without any network."""
     return Truth()
+
+
+# --- a person at the page
+
+
+@pytest.fixture
+def hands():
+    """The module beside this one, which wants selenium."""
+    path = Path(__file__).with_name("page_browser.py")
+    spec = importlib.util.spec_from_file_location("page_browser", path)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    if not (module.CHROMIUM and module.DRIVER):
+        pytest.skip("there is no browser: apt-get install chromium chromium-driver")
+    if not (BUNDLE / "index.html").is_file():
+        pytest.skip("the page is not built: cd web && npm ci --ignore-scripts && npm run build")
+    return module
+
+
+@pytest.fixture
+def viewer(hands, tmp_path):
+    """A browser."""
+    viewer = hands.Viewer(tmp_path / "browser", hands.shots_folder())
+    yield viewer
+    viewer.close()

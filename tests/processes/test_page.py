@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import math
 import signal
@@ -14,7 +13,6 @@ import numpy as np
 import pytest
 
 from agent.log_reader import LogReader
-from agent.page_server import BUNDLE
 from agent.playback import read
 from mapping.evidence import EvidenceModel
 from mapping.grid import Grid
@@ -102,28 +100,6 @@ def draws(viewer: Any, grid: Grid) -> bool:
     """Whether the page shows that map, in grey, cell for cell."""
     pixels = viewer.pixels(".layer-map", grid.i0, grid.j0, *grid.evidence.shape)
     return bool((pixels[..., :3] == brightness(grid)[::-1, :, None]).all() and (pixels[..., 3] == 255).all())
-
-
-@pytest.fixture
-def hands():
-    """The module beside this one, which wants selenium."""
-    path = Path(__file__).with_name("page_browser.py")
-    spec = importlib.util.spec_from_file_location("page_browser", path)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    if not (module.CHROMIUM and module.DRIVER):
-        pytest.skip("there is no browser: apt-get install chromium chromium-driver")
-    if not (BUNDLE / "index.html").is_file():
-        pytest.skip("the page is not built: cd web && npm ci --ignore-scripts && npm run build")
-    return module
-
-
-@pytest.fixture
-def viewer(hands, tmp_path):
-    """A browser."""
-    viewer = hands.Viewer(tmp_path / "browser", hands.shots_folder())
-    yield viewer
-    viewer.close()
 
 
 @pytest.fixture

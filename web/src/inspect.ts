@@ -21,16 +21,20 @@ interface Cell {
   witnesses: Witness[];
 }
 
-export async function inspect(map: L.Map, store: Store, at: L.LatLng): Promise<void> {
+let asked = 0;
+
+export async function inspect(map: L.Map, store: Store, at: L.LatLng, [right, below]: [number, number]): Promise<void> {
   const [i, j] = [Math.floor(at.lng), Math.floor(at.lat)];
   const size = (store.state?.cell_mm ?? 0) / 1000;
   const box = make("div", { class: "cell-box" });
+  const mine = ++asked;
   let cell: Cell;
   try {
     cell = (await (await fetch(`api/cell?i=${i}&j=${j}`)).json()) as Cell;
   } catch {
     cell = fromHere(store, i, j);
   }
+  if (mine !== asked) return; // another cell was clicked meanwhile
   const word = cell.evidence === 0 ? "unknown" : cell.probability > 0.65 ? "occupied" : cell.probability < 0.196 ? "free" : "not sure";
   box.append(
     make("h3", {}, word, make("span", {}, ` p = ${cell.probability.toFixed(3)}`)),
@@ -55,7 +59,7 @@ export async function inspect(map: L.Map, store: Store, at: L.LatLng): Promise<v
       ),
     );
   }
-  L.popup({ closeButton: false, className: "cell-popup", maxWidth: 320, autoPanPadding: [24, 24] })
+  L.popup({ closeButton: false, className: "cell-popup", maxWidth: 320, autoPanPaddingTopLeft: [24, 24], autoPanPaddingBottomRight: [right + 24, below + 24] })
     .setLatLng([j + 0.5, i + 0.5])
     .setContent(box)
     .openOn(map);

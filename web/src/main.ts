@@ -79,9 +79,13 @@ const measure = new Measure(map, store);
 const charts = new Charts(store);
 const timeline = new TimelineBar();
 
+/** While a robot is placed it is the map that it is placed on, whatever was looked at before. */
+const looked = (): View => (placing.session ? "map" : view);
+
 /** Everything anew: another view, other colours, another set of robots in the map. */
 function draw(): void {
-  const faint = view === "disagreement" || shownLayers.size > 0 || placing.session !== null;
+  const shown = store.sessions.filter((each) => shownLayers.has(each.session));
+  const faint = looked() === "disagreement" || shown.length > 0 || placing.session !== null;
   let source = store.source(FUSED);
   let table = faint ? faintTable(paper()) : mapTable(palette, paper());
   if (placing.session) {
@@ -96,18 +100,17 @@ function draw(): void {
   }
   base.show(source, table);
   $("map").style.background = table[0] === 0 ? "" : css(shade(palette, paper(), 0.5)); // else seams show between canvases
-  if (view === "disagreement" && !placing.session) {
+  if (looked() === "disagreement") {
     disagreement.begin();
     over.show(disagreement, contestedTable());
     if (!map.hasLayer(over)) over.addTo(map);
   } else over.remove();
   for (const [session, layer] of robotLayers) {
-    if (shownLayers.has(session) && store.layers.has(session)) continue;
+    if (shown.some((each) => each.session === session)) continue;
     layer.remove();
     robotLayers.delete(session);
   }
-  for (const session of store.sessions) {
-    if (!shownLayers.has(session.session)) continue;
+  for (const session of shown) {
     let layer = robotLayers.get(session.session);
     if (!layer) {
       layer = new TileLayer({ className: `layer-robot layer-${session.session}`, pane: "overlays" });
@@ -116,7 +119,8 @@ function draw(): void {
     layer.show(store.source(session.session), robotTable(rgb(session.colour)));
     if (!map.hasLayer(layer)) layer.addTo(map);
   }
-  legend.update(view, palette, paper(), faint && view === "map");
+  legend.update(looked(), palette, paper(), faint);
+  legend.count(looked(), disagreement);
   robots.update();
 }
 
@@ -172,7 +176,7 @@ function soon(): void {
 const words = seldom(200, () => {
   panel.update();
   charts.update();
-  legend.count(view, disagreement);
+  legend.count(looked(), disagreement);
 });
 
 /** For measurements (benchmarks/page.py): when the map was first seen, and when every cell of it was here. */
@@ -248,7 +252,6 @@ function choose(next: View): void {
   view = next;
   for (const button of $("views").querySelectorAll("button")) button.setAttribute("aria-pressed", String(button.dataset.view === view));
   draw();
-  legend.count(view, disagreement);
 }
 
 for (const [name, label] of Object.entries(VIEWS)) {
@@ -320,7 +323,7 @@ function nextRobot(): void {
 
 function allLayers(): void {
   const all = store.sessions.map((each) => each.session);
-  const on = shownLayers.size < all.length;
+  const on = all.some((session) => !shownLayers.has(session));
   shownLayers.clear();
   if (on) all.forEach((session) => shownLayers.add(session));
   draw();
@@ -364,13 +367,13 @@ for (const tool of TOOLS) {
 document.addEventListener("keydown", (event) => {
   const target = event.target as HTMLElement;
   if (event.ctrlKey || event.metaKey || event.altKey || $<HTMLDialogElement>("dialog").open) return;
-  if (target.tagName === "SELECT" || (target instanceof HTMLInputElement && target.type !== "range")) return;
   if (event.key === "Escape") {
     measure.end();
     placing.end();
     map.closePopup();
     return;
   }
+  if (target.tagName === "SELECT" || (target instanceof HTMLInputElement && target.type !== "range")) return;
   if (placing.session) {
     const step = event.shiftKey ? 10 : 1;
     const nudge = { ArrowLeft: [-step, 0, 0], ArrowRight: [step, 0, 0], ArrowUp: [0, step, 0], ArrowDown: [0, -step, 0], "[": [0, 0, 1], "]": [0, 0, -1] }[event.key];
@@ -389,13 +392,14 @@ document.addEventListener("keydown", (event) => {
   const found = KEYS.find(([key]) => key === event.key);
   if (found) {
     event.preventDefault();
+    event.stopPropagation(); // the map zooms with + and -
     found[2]();
-  }
+  } else if (target === $("map") && event.key.startsWith("Arrow")) following = false; // it pans
 }, true);
 
 map.on("click", (event: L.LeafletMouseEvent) => {
   if (measure.active) measure.point(event.latlng);
-  else if (!placing.session) void inspect(map, store, event.latlng);
+  else if (!placing.session) void inspect(map, store, event.latlng, covered());
 });
 map.on("mousemove", (event: L.LeafletMouseEvent) => legend.point(store, event.latlng));
 $("grip").addEventListener("click", () => $("panel").classList.toggle("tall"));
@@ -418,7 +422,7 @@ function stand(next: Standing): void {
   $("banner").hidden = standing === "live" || standing === "connecting";
   $("banner").textContent = standing === "lost" ? "The observer cannot be reached. This is what it told last; trying again." : log ? "The log is closed. This is what was shown last." : "The swarm has ended. This is its last map.";
   timeline.enable(standing === "live");
-  $("saving").classList.toggle("away", standing === "ended" || standing === "lost");
+  $("files").inert = standing === "ended" || standing === "lost";
 }
 
 const palettes = Object.keys(PALETTES) as PaletteName[];

@@ -14,17 +14,26 @@ export interface Deeds {
 export class Panel {
   private readonly open = new Set<string>();
   private readonly cards = new Map<string, Card>();
+  private readonly chips = make("p", { class: "chips" });
+  private readonly replaced = make("details", {}, make("summary"), make("div")); // stays the same, for it may be open
 
   constructor(
     private readonly store: Store,
     private readonly deeds: Deeds,
-  ) {}
+  ) {
+    $("peers").append(
+      make("h2", {}, "Peers that this observer hears"),
+      this.chips,
+      make("p", { class: "dim" }, "✓ said that it holds this very map. Who hears whom besides is not told on the wire."),
+      this.replaced,
+    );
+  }
 
   /** Show a robot's details, for instance because it was clicked on the map. */
   reveal(session: string): void {
     this.open.add(session);
     this.update();
-    this.cards.get(session)?.element.scrollIntoView({ block: "nearest", behavior: "smooth" });
+    this.cards.get(session)?.element.scrollIntoView({ block: "nearest" });
   }
 
   update(): void {
@@ -38,13 +47,10 @@ export class Panel {
   }
 
   private facts(state: State): void {
-    const told = state.peers.filter((peer) => peer.same !== null);
-    const same = told.filter((peer) => peer.same).length;
-    const behind = state.sessions.some((each) => !each.replaced && each.known_n > each.n);
-    const all = state.peers.length > 0 && same === state.peers.length && !behind;
+    const same = state.peers.filter((peer) => peer.same).length;
     const mark = state.timeline
       ? make("span", { class: "mark" }, `at ${clock(state.timeline.seconds)}`)
-      : all
+      : state.agree
       ? make("span", { class: "mark good", title: "Every peer that is there said that it holds this very map." }, "✓ all agree")
       : make(
           "span",
@@ -91,26 +97,15 @@ export class Panel {
 
   private peers(state: State): void {
     const replaced = state.sessions.filter((each) => each.replaced);
-    $("peers").replaceChildren(
-      make("h2", {}, "Peers that this observer hears"),
-      make(
-        "p",
-        { class: "chips" },
-        ...state.peers.map((peer) =>
-          make("span", { class: "chip", title: peer.same === null ? "It has not said yet what it holds." : peer.same ? "It said that it holds this very map." : "It last said that it holds another state." }, `${peer.same ? "✓" : "·"} ${peer.name}`),
-        ),
-        state.peers.length === 0 && "No other peer is there.",
+    this.chips.replaceChildren(
+      ...state.peers.map((peer) =>
+        make("span", { class: "chip", title: peer.same === null ? "It has not said yet what it holds." : peer.same ? "It said that it holds this very map." : "It last said that it holds another state." }, `${peer.same ? "✓" : "·"} ${peer.name}`),
       ),
-      make("p", { class: "dim" }, "✓ said that it holds this very map. Who hears whom besides is not told on the wire."),
-      replaced.length > 0
-        ? make(
-          "details",
-          {},
-          make("summary", {}, `${replaced.length} replaced session${replaced.length > 1 ? "s" : ""}`),
-          ...replaced.map((each) => make("p", { class: "dim" }, `${each.robot} ${each.session.slice(0, 6)}: ${each.reason}`)),
-          )
-        : "",
+      state.peers.length === 0 ? "No other peer is there." : "",
     );
+    this.replaced.hidden = replaced.length === 0;
+    this.replaced.querySelector("summary")!.textContent = `${replaced.length} replaced session${replaced.length > 1 ? "s" : ""}`;
+    this.replaced.querySelector("div")!.replaceChildren(...replaced.map((each) => make("p", { class: "dim" }, `${each.robot} ${each.session.slice(0, 6)}: ${each.reason}`)));
   }
 }
 

@@ -3,7 +3,7 @@
 
 import * as L from "leaflet";
 import { $, confirmed, make, post } from "./dom";
-import { type Rgb, rgb, robotTable } from "./palette";
+import { rgb, robotTable } from "./palette";
 import { TILE, placeOf } from "./pyramid";
 import { type Pose, type Session, TURN, degrees, radians } from "./state";
 import { type Store, bounds } from "./store";
@@ -32,7 +32,8 @@ export class Placing {
     [this.old[0], this.old[1], this.old[2]] = [from[0] / 1000, from[1] / 1000, radians(from[2])];
     const now = session.start ?? from;
     this.pose = [now[0] / 1000, now[1] / 1000, radians(now[2])];
-    this.canvas = this.picture(rgb(session.colour));
+    this.canvas = make("canvas", { class: "placed cells" });
+    this.paint();
     this.map.getPane("placing")!.append(this.canvas);
     this.drags(this.canvas);
     this.centre = this.mark("start-mark", "Drag to move", (at) => this.moveTo(at.lng, at.lat));
@@ -53,13 +54,9 @@ export class Placing {
     this.changed();
   }
 
-  /** The robot has more on its map now. */
+  /** The robot has more on its map now; a hand may be on the picture of it. */
   redraw(): void {
-    if (!this.session || !this.canvas) return;
-    const canvas = this.picture(rgb(this.session.colour));
-    this.canvas.replaceWith(canvas);
-    this.canvas = canvas;
-    this.drags(canvas);
+    this.paint();
     this.lay();
   }
 
@@ -97,12 +94,13 @@ export class Placing {
   }
 
   /** The robot's own map as a picture, a pixel a cell. */
-  private picture(colour: Rgb): HTMLCanvasElement {
+  private paint(): void {
     const tiles = this.store.tiles(this.session!.session);
     this.box = bounds(tiles) ?? [0, 0, TILE, TILE];
     const [i0, j0, columns, rows] = this.box;
-    const canvas = make("canvas", { class: "placed cells", width: String(columns), height: String(rows) });
-    const table = robotTable(colour);
+    const canvas = this.canvas!;
+    [canvas.width, canvas.height] = [columns, rows];
+    const table = robotTable(rgb(this.session!.colour));
     const image = new ImageData(columns, rows);
     const pixels = new Uint32Array(image.data.buffer);
     for (const [key, cells] of tiles) {
@@ -114,7 +112,6 @@ export class Placing {
       }
     }
     canvas.getContext("2d")!.putImageData(image, 0, 0);
-    return canvas;
   }
 
   /** Where a cell of the picture lies once the robot is placed anew, in cells. */

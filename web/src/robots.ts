@@ -17,6 +17,7 @@ export class Robots {
   private readonly marks = new Map<string, Marks>();
   private readonly renderer = L.canvas({ padding: 0.5, pane: "trails" } as L.RendererOptions);
   private readonly points: HitsLayer;
+  private later: ReturnType<typeof setTimeout> | undefined;
   trails = true;
   hits = false;
 
@@ -24,13 +25,10 @@ export class Robots {
     private readonly map: L.Map,
     private readonly store: Store,
     private readonly edge: () => string,
-    pick: (session: string) => void,
+    private readonly pick: (session: string) => void,
   ) {
     this.points = new HitsLayer(store);
-    this.pick = pick;
   }
-
-  private readonly pick: (session: string) => void;
 
   at([x, y]: number[]): L.LatLng {
     const cell = this.store.state?.cell_mm ?? 1;
@@ -59,8 +57,12 @@ export class Robots {
     const marks = this.marks.get(session.session) ?? this.begin(session);
     const trail = this.store.tracks.get(session.session)?.trail ?? [];
     const now = performance.now();
-    // a long way takes long to draw: not with every step
-    if (trail.length < marks.drawn || (trail.length > marks.drawn && now - marks.drawnAt > Math.min(500, trail.length / 5))) {
+    // a long way takes long to draw: not with every step, but it is drawn even if nothing comes after it
+    const rest = marks.drawnAt + Math.min(500, trail.length / 5) - now;
+    if (trail.length > marks.drawn && rest > 0) {
+      clearTimeout(this.later);
+      this.later = setTimeout(() => this.update(), rest);
+    } else if (trail.length !== marks.drawn) {
       const path = trail.map((pose) => this.at(pose));
       marks.line.setLatLngs(path);
       marks.edge.setLatLngs(path);

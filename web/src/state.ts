@@ -42,6 +42,7 @@ export interface State {
   cell_mm: number;
   clear_hit: number;
   digest: string;
+  agree: boolean;
   tiles: number;
   known_m2: number;
   bytes_rate: number;

@@ -65,13 +65,13 @@ export class Store {
     for (const row of frame.history ?? []) this.history.push(row);
     if (frame.state) {
       this.state = frame.state;
-      const known = new Set([FUSED, ...frame.state.sessions.map((each) => each.session)]);
-      for (const layer of [...this.layers.keys()]) {
-        if (known.has(layer)) continue;
+      const held = new Set([FUSED, ...this.sessions.map((each) => each.session)]);
+      for (const layer of this.layers.keys()) {
+        if (held.has(layer)) continue;
         this.noteAll(layer);
         this.layers.delete(layer);
-        this.tracks.delete(layer);
       }
+      for (const layer of this.tracks.keys()) if (!held.has(layer)) this.tracks.delete(layer);
     }
   }
 

@@ -10,7 +10,7 @@ const STEP = 5; // seconds that an arrow goes; with shift six times as much
 export class TimelineBar {
   private readonly play = make("button", { class: "quiet", id: "play", onclick: () => this.toggle() });
   private readonly slider = make("input", { type: "range", id: "time", min: "0", step: "any", "aria-label": "Time in the log" });
-  private readonly time = make("output", { class: "time", for: "time" });
+  private readonly time = make("span", { class: "time" });
   private readonly speeds = make("select", { id: "speed", "aria-label": "Speed", title: "Speed" });
   private now: Timeline | null = null;
   private wanted: number | null = null; // where the slider was put, until the server is there too
@@ -41,6 +41,7 @@ export class TimelineBar {
     this.slider.max = String(timeline.duration);
     if (this.wanted === null) this.slider.valueAsNumber = timeline.seconds;
     this.show(timeline.speed > 0);
+    if (timeline.speed > 0 && SPEEDS.includes(timeline.speed) && document.activeElement !== this.speeds) this.speeds.value = String(timeline.speed);
     const reading = timeline.whole ? (timeline.torn ? "; the log is torn off here" : "") : "; reading on";
     this.time.textContent = `${clock(this.wanted ?? timeline.seconds)} / ${clock(timeline.duration)}`;
     this.slider.setAttribute("aria-valuetext", this.time.textContent);
