@@ -137,8 +137,10 @@ def test_when_all_robots_are_gone_newcomers_get_the_map_from_an_observer_that_ha
     for robot in robots:
         robot.is_ready()
         robot.order("go")
-    known = observer.hears_no_more(quiet=1.0)
-    assert len(known) == 2
+    for robot in robots:
+        robot.shows("done", value=True)
+    observer.knows(lambda known: len(known) == 2)
+    known = observer.hears_no_more()
     for robot in robots:
         robot.signal(signal.SIGKILL)
         robot.ends()
