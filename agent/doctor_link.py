@@ -6,7 +6,6 @@ no wheel turns; all that is said are heartbeats, and to stop.
 
 from __future__ import annotations
 
-import cmath
 import math
 import time
 from collections import Counter
@@ -229,7 +228,7 @@ def headings(port: str, heard: Heard) -> Finding:
     if not trusted:
         return warning(port, "no sample has a valid heading: odometry will be the wheels' alone", "check the compass")
     angles = [from_turn16(sample.heading_turn16) for sample in trusted]
-    middle = cmath.phase(sum(cmath.rect(1.0, angle) for angle in angles))
+    middle = math.atan2(sum(map(math.sin, angles)), sum(map(math.cos, angles)))
     spread = max(abs(wrapped(angle - middle)) for angle in angles)
     found = f"heading {math.degrees(middle) % 360:.1f} degrees, within {math.degrees(spread):.1f}"
     if stale:

@@ -50,7 +50,7 @@ class MovingAverage:
         total = sum(self.vectors)
         if len(self.vectors) < self.window or abs(total) < 1e-9 * self.window:
             return None
-        return cmath.phase(total)
+        return math.atan2(total.imag, total.real)  # cmath.phase raises OverflowError where the result is subnormal
 
     @property
     def lag(self) -> float:

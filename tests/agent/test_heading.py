@@ -4,7 +4,7 @@ import cmath
 import math
 
 import pytest
-from hypothesis import assume, given
+from hypothesis import assume, example, given
 from hypothesis import strategies as st
 
 from agent.heading import MovingAverage, wrapped
@@ -36,6 +36,7 @@ def test_the_mean_of_one_direction_is_that_direction(window, angle):
 
 
 @given(windows, st.lists(st.floats(-1, 1), min_size=12, max_size=12), angles)
+@example(2, [0.0] * 11 + [5e-324], 0.0)
 def test_turning_all_angles_turns_the_mean_wherever_the_wrap_lies(window, values, turn):
     mean = after(window, values).mean
     turned = after(window, [value + turn for value in values]).mean
