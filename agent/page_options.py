@@ -88,6 +88,23 @@ def listen(host: str, ports: list[int], option: str, remedy: str) -> socket.sock
     raise AssertionError
 
 
+def where_found(listener: socket.socket) -> tuple[str, int]:
+    """The address and the port at which others find what listens.
+
+    If that is every address of this machine: the one that it has towards everybody else, or its name if it has none.
+    """
+    address, port = listener.getsockname()[:2]
+    if not ipaddress.ip_address(address).is_unspecified:
+        return address, port
+    far = "2001:db8::1" if listener.family == socket.AF_INET6 else "192.0.2.1"  # of RFC 3849 and 5737; nothing is sent
+    with socket.socket(listener.family, socket.SOCK_DGRAM) as outwards:
+        try:
+            outwards.connect((far, 9))
+        except OSError:
+            return socket.gethostname(), port
+        return outwards.getsockname()[0], port
+
+
 def is_loopback(host: str) -> bool:
     """Whether a host name or address is this machine's own, for itself alone."""
     try:

@@ -192,7 +192,7 @@ class _Pages:
             await asyncio.wait_for(asyncio.wrap_future(done), _PATIENCE)
         except TimeoutError:
             return _complaint("the peer did not answer in time", 504)
-        except ValueError as error:
+        except (ValueError, RecursionError) as error:  # RecursionError: JSON that is nested too deeply
             return _complaint(str(error))
         return JSONResponse({"decided": True})
 

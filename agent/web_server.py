@@ -11,7 +11,7 @@ import threading
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from agent.page_options import is_loopback
+from agent.page_options import is_loopback, where_found
 
 if TYPE_CHECKING:
     import uvicorn
@@ -40,9 +40,9 @@ class WebServer:
         self._server: uvicorn.Server | None = None
         self._stopped = False
         self._thread = threading.Thread(target=self._serve, name="orion-web", daemon=True)
-        address, port = listener.getsockname()[:2]
+        found, port = where_found(listener)
         query = "" if self._token is None else f"?token={self._token}"
-        self.url = f"http://{f'[{address}]' if ':' in address else address}:{port}/{query}"
+        self.url = f"http://{f'[{found}]' if ':' in found else found}:{port}/{query}"
 
     def start(self) -> None:
         """Begin to answer."""

@@ -16,6 +16,7 @@ import urllib.request
 import zipfile
 from pathlib import Path
 from types import SimpleNamespace
+from urllib.parse import urlsplit
 
 import msgpack
 import numpy as np
@@ -84,7 +85,7 @@ def serve(watched):
 
 def ask(url: str, path: str = "", *, data: object = None, **headers: str) -> tuple[int, bytes]:
     """Status and body of an answer; redirections are followed without cookies."""
-    body = None if data is None else json.dumps(data).encode()
+    body = data if data is None or isinstance(data, bytes) else json.dumps(data).encode()
     names = {name.replace("_", "-"): value for name, value in headers.items()}
     if body is not None:
         names.setdefault("content-type", "application/json")
@@ -175,6 +176,7 @@ def test_orders_are_carried_out_by_the_loop_and_shown(serve, watched, straight) 
         (400, "api/evict", {"session": "0000000000000000"}, {}),
         (400, "api/evict", {"session": "nonsense"}, {}),
         (400, "api/evict", "a word", {}),
+        (400, "api/evict", b"[" * 4000, {}),
         (415, "api/evict", {}, {"content_type": "text/plain"}),
         (413, "api/evict", {"session": "0" * 5000}, {}),
         (403, "api/evict", {}, {"origin": "http://evil.example"}),
@@ -202,9 +204,10 @@ def test_the_socket_is_for_our_own_page_alone(serve) -> None:
 
 def test_beyond_this_machine_only_with_the_token(serve) -> None:
     page, _ = serve(host="0.0.0.0")
-    url, _, query = page.url.partition("?")
-    token = query.removeprefix("token=")
+    found = urlsplit(page.url)
+    token = found.query.removeprefix("token=")
     assert len(token) >= 24
+    url = f"http://127.0.0.1:{found.port}/"
     assert ask(url, "api/state")[0] == 401
     assert ask(url, "api/state", authorization=f"Bearer {token}")[0] == 200
     assert ask(url, "api/state", authorization="Bearer wrong")[0] == 401
@@ -215,7 +218,7 @@ def test_beyond_this_machine_only_with_the_token(serve) -> None:
     with live(url, additional_headers={"cookie": f"orion_page={token}"}) as socket:
         assert socket.recv(timeout=PATIENCE)
     opener = urllib.request.build_opener(urllib.request.HTTPCookieProcessor())
-    with opener.open(page.url, timeout=PATIENCE) as response:
+    with opener.open(f"{url}?token={token}", timeout=PATIENCE) as response:
         assert "token" not in response.url
 
 

@@ -7,7 +7,7 @@ import socket
 import pytest
 
 from agent.errors import UserError
-from agent.page_options import PageOptions, can_open, is_loopback
+from agent.page_options import PageOptions, can_open, is_loopback, where_found
 
 
 def test_a_port_that_was_asked_for_and_is_taken_is_the_users_to_mend() -> None:
@@ -27,6 +27,23 @@ def test_without_a_port_any_will_do() -> None:
 def test_an_address_of_somebody_else_is_refused() -> None:
     with pytest.raises(UserError, match=r"--port: 192\.0\.2\.1:0: .*; give another one, or another --host"):
         PageOptions(host="192.0.2.1", port=0).listen()
+
+
+def test_what_listens_on_every_address_is_told_with_one_that_can_be_asked() -> None:
+    with PageOptions().listen() as here, PageOptions("0.0.0.0").listen() as everywhere:
+        assert where_found(here) == here.getsockname()
+        host, port = where_found(everywhere)
+        assert port == everywhere.getsockname()[1]
+        assert host not in {"0.0.0.0", ""}
+
+
+def test_a_machine_without_a_way_out_is_found_by_its_name(monkeypatch) -> None:
+    def no_way(self: socket.socket, address: object) -> None:
+        raise OSError(101, "Network is unreachable")
+
+    monkeypatch.setattr(socket.socket, "connect", no_way)
+    with PageOptions("0.0.0.0").listen() as everywhere:
+        assert where_found(everywhere)[0] == socket.gethostname()
 
 
 def test_options_are_passed_on() -> None:

@@ -7,6 +7,7 @@ import http.client
 import json
 import time
 from collections.abc import Iterator
+from urllib.parse import urlsplit
 
 import pytest
 from starlette.requests import Request
@@ -95,10 +96,12 @@ def test_another_site_and_other_machines_are_kept_out_as_from_the_page(serve, wa
     assert get(probes.url, "/metrics", Origin="http://evil.example")[0] == 403
     open_ones, turn = serve("0.0.0.0")
     turn(time.monotonic())
-    token = open_ones.url.partition("?token=")[2]
+    found = urlsplit(open_ones.url)
+    token = found.query.removeprefix("token=")
     assert token
-    assert get(open_ones.url, "/healthz")[0] == get(open_ones.url, "/metrics")[0] == 401
-    assert get(open_ones.url, "/metrics", Authorization=f"Bearer {token}")[0] == 200
+    url = f"http://127.0.0.1:{found.port}/"
+    assert get(url, "/healthz")[0] == get(url, "/metrics")[0] == 401
+    assert get(url, "/metrics", Authorization=f"Bearer {token}")[0] == 200
 
 
 def test_a_port_that_is_taken_is_the_users_to_mend(serve) -> None:
