@@ -18,7 +18,7 @@ from mapping.lattice import Cells, Lattice, TileKey
 from mapping.tiles import map_digest
 
 CELL = 0.05
-_REPEATS = 9
+_REPEATS = 15
 
 
 def kernels() -> dict[str, raster.Raster]:

@@ -17,7 +17,7 @@ class Row(NamedTuple):
         unit: of it.
         low: the least of the runs.
         high: the greatest of the runs.
-        ratio: to the row that the others of its group are compared with; 0 where there is none.
+        ratio: to the row that its group is compared with, the median of all turns; 0 where there is none.
         note: what else belongs to it.
     """
 
@@ -50,13 +50,16 @@ def cpu_seconds(work: Callable[[], object], times: int = 1) -> float:
 def compared(
     figures: Mapping[str, Sequence[float]], unit: str, reference: str | None = None, scale: float = 1.0
 ) -> list[Row]:
-    """A row a variant: the median of its runs, their spread, and the ratio of medians to the reference's."""
-    base = 0.0 if reference is None else statistics.median(figures[reference]) * scale
+    """A row a variant: the median of its runs, their spread, and its ratio to the reference.
+
+    That is the median of the ratios of each turn, not the ratio of medians: the speed of a shared machine changes from
+    one second to the next, and changes both figures of a turn alike.
+    """
     rows = []
     for name, values in figures.items():
-        middle = statistics.median(values) * scale
-        ratio = middle / base if base else 0.0
-        rows.append(Row(name, middle, unit, min(values) * scale, max(values) * scale, ratio))
+        turns = zip(values, [] if reference is None else figures[reference], strict=False)
+        ratio = statistics.median([value / base for value, base in turns] or [0.0])
+        rows.append(Row(name, statistics.median(values) * scale, unit, min(values) * scale, max(values) * scale, ratio))
     return rows
 
 

@@ -100,8 +100,14 @@ def test_variants_are_measured_in_turn():
     figures = interleaved({"a": variant("a"), "b": variant("b")}, 2)
     assert turns == ["a", "b", "a", "b"]
     rows = compared(figures, "s", "a")
-    assert rows == [Row("a", 2.0, "s", 1.0, 3.0, 1.0), Row("b", 3.0, "s", 2.0, 4.0, 1.5)]
-    assert "x 1.50" in printed("title", rows)
+    assert rows == [Row("a", 2.0, "s", 1.0, 3.0, 1.0), Row("b", 3.0, "s", 2.0, 4.0, (2 / 1 + 4 / 3) / 2)]
+    assert "x 1.67" in printed("title", rows)
+
+
+def test_a_machine_that_slows_down_between_turns_changes_no_ratio():
+    rows = compared({"a": [1.0, 10.0, 3.0, 5.0], "b": [2.0, 20.0, 6.0, 10.0], "once": [7.0]}, "s", "a")
+    assert [row.ratio for row in rows] == [1.0, 2.0, 7.0]
+    assert [row.ratio for row in compared({"a": [1.0, 2.0]}, "s")] == [0.0]
 
 
 def test_the_command_prints_a_table_and_writes_it(tmp_path, monkeypatch, capsys):
