@@ -116,7 +116,7 @@ class NoDriver:
 
 def steer(T_common_robot: Pose, x: float, y: float, limits: Limits) -> Motion:
     """Towards a point of the common frame: turn to it on the spot, then drive, slowly at the end."""
-    dx, dy = x - T_common_robot.x, y - T_common_robot.y
+    dx, dy = x - T_common_robot.x, y - T_common_robot.y + 0.0  # never -0.0: what is straight behind is to the left
     error = wrapped(math.atan2(dy, dx) - T_common_robot.yaw)
     turn_rate = min(limits.turn_rate, max(-limits.turn_rate, _TURN_GAIN * error))
     facing = max(0.0, 1 - abs(error) / _FACING)
